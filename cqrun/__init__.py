@@ -1,7 +1,8 @@
 """cqrun: differentiable soft-robot simulation by the material point method.
 
 `cqrun.load(scene)` returns a problem with `.value_and_grad(params)` and `.simulate(params)`, with NumPy arrays in and
-out. `cqrun.environment(scene)` returns a Gymnasium environment (extra `rl`).
+out. `cqrun.environment(scene)` returns a Gymnasium environment (extra `rl`). `cqrun.resolution(scene)` runs a scene on
+several grids, and extrapolates what it finds.
 """
 
 from __future__ import annotations
@@ -12,13 +13,14 @@ from cqrun.version import __version__
 
 if TYPE_CHECKING:
     from cqrun.jobs.api import load as load
+    from cqrun.jobs.studies.resolution import resolution as resolution
     from cqrun.learning.environment import environment as environment
 
-__all__ = ["__version__", "environment", "load"]
+__all__ = ["__version__", "environment", "load", "resolution"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import `load` or `environment` when it is first used: the engine takes a second, `cqrun --help` must not."""
+    """Import a function when it is first used: the engine takes a second, which `cqrun --help` must not."""
     if name == "load":
         from cqrun.jobs.api import load
 
@@ -27,4 +29,8 @@ def __getattr__(name: str) -> Any:
         from cqrun.learning.environment import environment
 
         return environment
+    if name == "resolution":
+        from cqrun.jobs.studies.resolution import resolution
+
+        return resolution
     raise AttributeError(f"module 'cqrun' has no attribute '{name}'")

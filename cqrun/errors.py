@@ -51,7 +51,13 @@ class StopNow(BaseException):
 
 
 class RunError(CqrunError):
-    """The run itself failed."""
+    """The run itself failed.
+
+    Attributes:
+        recording: the recording of a fit whose run it was, or "".
+    """
+
+    recording: str = ""
 
 
 class InfeasibleError(RunError):

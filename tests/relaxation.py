@@ -72,4 +72,4 @@ def update_vjp(term: Any, theta: Any, F: Any, F_next: Any, h: Any, dt: Any, h_ne
     return (0.0 * pull, pull * (h[0] - h_next)), zeros_like_rows(F), scale(F_next, pull * dt), (pull * theta[1],)
 
 
-register_with_history(RelaxationKernel, stress, stress_vjp, update, update_vjp)
+register_with_history(RelaxationKernel, stress, stress_vjp, update, update_vjp, rate=False)

@@ -56,6 +56,7 @@ def draw(test: Test, table: Table, folder: Path, dim: int) -> Path | None:
         figure, panels = _panels(shown, frames)
         for panel in panels:
             _lines(panel, rows)
+        for panel in panels:  # when all lines are there, because panels share axes
             _axis(panel, test, sorted({int(row["cells"]) for row in rows}))
         figure.suptitle(f"{test.summary} ({dim}D)", x=0.01, ha="left", fontsize=9.5, fontweight="bold", color=INK)
         lines = {str(line.get_label()): line for panel in panels for line in panel.ax.get_lines()}

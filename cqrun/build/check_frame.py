@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cqrun.build.contact import unknown_surfaces
+from cqrun.build.history import remembering
 from cqrun.build.particles import Particles
 from cqrun.build.volumes import volume_problems
 from cqrun.engine.model import ConditionModel
@@ -58,6 +59,8 @@ def _at_rest(scene: Scene) -> Iterator[tuple[str, str]]:
     if scene.start == "equilibrium":
         for path, kind in touched(scene):
             yield "start", f"an equilibrium does not feel `{kind}` boundaries yet ({path}): remove them, or `start`"
+        for path, name in remembering(scene):
+            yield path, f"the stress of `{name}` has a history, and so no equilibrium: remove it, or `start`"
         if scene.bodies_meet:
             yield "start", "bodies do not feel each other in an equilibrium yet: use one body, or remove `start`"
         for name, body in scene.bodies.items():
@@ -102,7 +105,7 @@ def _near(scene: Scene, plane: ConditionModel, x: np.ndarray) -> bool:
 
 
 def _thin(scene: Scene, particles: Particles) -> Iterator[tuple[str, str]]:
-    """Yield bodies with too few particles, and stresses that remember."""
+    """Yield bodies with too few particles."""
     for name, spacing in particles.spacing.items():
         per_axis = scene.world.dx / spacing
         if per_axis < PER_AXIS * (1 - ROUNDING):
@@ -114,6 +117,3 @@ def _thin(scene: Scene, particles: Particles) -> Iterator[tuple[str, str]]:
                     f"move without resistance; use {need} or more, or {WAY_OUT}"
                 ),
             )
-    for field in particles.layout.history:
-        term = field.name.partition(".")[0]
-        yield "world.frame", f"the reference frame does not yet follow the history of the term `{term}`: {WAY_OUT}"

@@ -7,7 +7,7 @@ bends too far. A scene may still be useful: these are warnings, with the size ne
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy import ndimage
@@ -16,11 +16,11 @@ from scipy.spatial import cKDTree
 from cqrun.boundaries.sticky import Sticky
 from cqrun.build.check_gaps import TOO_CLOSE
 from cqrun.build.particles import Particles
+from cqrun.build.raster import THIN, Raster, across, depth, neck, thinner
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.setting import MARGIN, grid_shape
 from cqrun.errors import Problem
 from cqrun.geometry.place import Place
-from cqrun.geometry.shape import cell_centres, finite_bounds
 from cqrun.plugin.contract import Array
 from cqrun.scene.body import Body
 from cqrun.scene.schema import Scene
@@ -34,22 +34,13 @@ CELLS = 3
 NEAR = 3.0
 """A clamp that holds no particle is reported if a body is this close [cells]; farther away it is a floor or a wall."""
 
-PER_CELL = 4
-"""Points per cell and axis that measure bodies and gaps; fewer in a body that needs more than MOST_POINTS."""
 
-MOST_POINTS = 500_000
-
-ROUNDED = 0.4
-"""Distance of a corner from the largest disc or ball inside that is not thin [diameters]: a cube's is 0.37."""
-
-THIN = 0.1
-"""Share of a body that must be thin for a warning."""
-
-
-def grid_warnings(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> list[Problem]:
-    """Return warnings about everything that the grid cannot resolve."""
+def grid_warnings(
+    scene: Scene, particles: Particles, conditions: Sequence[ConditionModel], rasters: Mapping[str, Raster]
+) -> list[Problem]:
+    """Return warnings about everything that the grid cannot resolve; `rasters` has the bodies by name."""
     return [
-        *_bodies(scene),
+        *_bodies(scene, rasters),
         *_boundaries(scene, conditions),
         *_clamps(scene, particles, conditions),
         *_starts_inside(scene, particles, conditions),
@@ -59,15 +50,16 @@ def grid_warnings(scene: Scene, particles: Particles, conditions: Sequence[Condi
 # --- bodies and the gaps in them --------------------------------------------------------------------------------------
 
 
-def _bodies(scene: Scene) -> Iterator[Problem]:
+def _bodies(scene: Scene, rasters: Mapping[str, Raster]) -> Iterator[Problem]:
     """Yield warnings about bodies less than 3 cells thick, their necks of less than 2, and narrow gaps in them."""
     dx = scene.world.dx
     for name, body in scene.bodies.items():
         path = f"bodies.{name}." + ("shape" if body.shape else "parts")
-        solid, corner, pitch = _raster(body, dx)
-        thin = thinner(solid, CELLS * dx / pitch)
+        solid, corner, pitch = rasters[name].solid, rasters[name].corner, rasters[name].pitch
+        depths = depth(solid)
+        thin = thinner(solid, CELLS * dx / pitch, depths)
         if thin.sum() > THIN * solid.sum():
-            thickness = 2.0 * pitch * float(_depth(solid)[thin].max())
+            thickness = pitch * across(solid, depths, thin)
             at = _place(body, corner, pitch, thin)
             cells = f"{thickness / dx:.2g}"
             message = (
@@ -75,8 +67,8 @@ def _bodies(scene: Scene) -> Iterator[Problem]:
                 f"far, one of 2 cells 10 %; set dx to {thickness / CELLS:.3g} m, or make it {CELLS * dx:.3g} m thick"
             )
             yield Problem(scene.where(path), path, message)
-        elif (neck := _neck(solid, ROWS * dx / pitch)).any():
-            at = _place(body, corner, pitch, neck)
+        elif (narrow := neck(solid, ROWS * dx / pitch, depths)).any():
+            at = _place(body, corner, pitch, narrow)
             message = (
                 f"has a neck less than {ROWS} cells thick at {at}, which joins thicker parts: it bends too easily, and "
                 f"may break; make it {CELLS * dx:.3g} m thick, or dx smaller"
@@ -93,51 +85,11 @@ def _bodies(scene: Scene) -> Iterator[Problem]:
             yield Problem(scene.where(path), path, message)
 
 
-def _raster(body: Body, dx: float) -> tuple[Array, Array, float]:
-    """Return which cells of a fine raster lie in a body, its lower corner without `place` [m], and its pitch [m]."""
-    scale, pieces = (body.place or Place()).scale, list(body.pieces.values())
-    bounds = [finite_bounds(piece) for piece in pieces]
-    lower, upper = np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
-    volume = float(np.prod(upper - lower)) * scale ** len(lower)
-    pitch = max(dx / PER_CELL, (volume / MOST_POINTS) ** (1 / len(lower)))
-    counts = np.ceil((upper - lower) * scale / pitch * (1 - 1e-9)).astype(int)
-    x = cell_centres(lower, np.full(len(lower), pitch / scale), counts)
-    return np.any([piece.inside(x) for piece in pieces], axis=0).reshape(counts), lower * scale, pitch
-
-
 def _place(body: Body, corner: Array, pitch: float, cells: Array) -> str:
     """Return the position in the world of the first of some cells of a raster, as text."""
     place = body.place or Place()
     x = corner + (np.argwhere(cells)[0] + 0.5) * pitch
     return _point(place.to_world(x[None] / place.scale)[0])
-
-
-def thinner(solid: Array, width: float) -> Array:
-    """Return which cells of a solid lie where no ball of a given diameter fits; corners of thicker parts do not count.
-
-    Args:
-        solid: (...) bool.
-        width: the diameter, in cells.
-    """
-    depth = _depth(solid)
-    filled = depth >= 0.5 * width
-    if not filled.any():
-        return solid
-    reach = ndimage.distance_transform_edt(~filled)
-    return np.asarray(solid & (reach > (0.5 + ROUNDED) * width))
-
-
-def _neck(solid: Array, width: float) -> Array:
-    """Return the cells thinner than a width, if the solid falls into more parts without them; else none."""
-    thin = thinner(solid, width)
-    _, parts = ndimage.label(solid & ~thin)
-    return thin & (parts > ndimage.label(solid)[1])
-
-
-def _depth(solid: Array) -> Array:
-    """Return the distance of each cell to the nearest one outside a solid [cells]; at most (n + 1) // 2 in n layers."""
-    inner = (slice(1, -1),) * solid.ndim
-    return np.asarray(ndimage.distance_transform_edt(np.pad(solid, 1)))[inner]
 
 
 # --- boundaries -------------------------------------------------------------------------------------------------------

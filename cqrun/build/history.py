@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from cqrun.errors import Problem, SceneError
@@ -12,6 +13,16 @@ from cqrun.state import StateField
 def fields_of(spec: Any, dim: int) -> tuple[StateField, ...]:
     """Return the fields of one material term, under the names that they have in the state: `prony.H`."""
     return tuple(field._replace(name=f"{spec.name}.{field.name}") for field in spec.history(dim))
+
+
+def remembering(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield the key path and the name of every material term with a history."""
+    for body, spec in scene.bodies.items():
+        elastic = spec.material.elastic
+        own = {f"elastic.{elastic.name}": elastic.value, **spec.material.terms}
+        for key, term in own.items():
+            if fields_of(term, scene.dim):
+                yield f"bodies.{body}.material.{key}", term.name
 
 
 def history_of(scene: Scene) -> tuple[StateField, ...]:

@@ -29,6 +29,7 @@ from cqrun.build.limits import (
     wave_limit,
 )
 from cqrun.build.particles import Particles, sample, stress_key
+from cqrun.build.raster import Raster, rasterised
 from cqrun.build.regions import boundary
 from cqrun.build.volumes import averages, locking_bodies
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
@@ -56,6 +57,7 @@ class Built:
         assembly: maps values by key path to the engine's inputs, and gradients back.
         limits: bounds on the substep at the stiffest corner of the unknowns' bounds.
         warnings: what a user should know before the run.
+        rasters: the shape of each body by name, to measure its thickness.
     """
 
     scene: Scene
@@ -64,6 +66,7 @@ class Built:
     assembly: Assembly
     limits: tuple[Limit, ...]
     warnings: tuple[Problem, ...]
+    rasters: dict[str, Raster]
 
 
 def build(scene: Scene) -> Built:
@@ -103,7 +106,8 @@ def build(scene: Scene) -> Built:
     if problems := frame_problems(scene, particles, conditions):
         raise SceneError(problems)
     surface, obstacles, meeting, conditions = contact_parts(scene, particles, assembly, conditions)
-    warnings += grid_warnings(scene, particles, conditions)
+    rasters = {name: rasterised(body, scene.world.dx) for name, body in scene.bodies.items()}
+    warnings += grid_warnings(scene, particles, conditions, rasters)
     model = Model(
         size=np.array(scene.world.size),
         dx=scene.world.dx,
@@ -126,7 +130,7 @@ def build(scene: Scene) -> Built:
         meeting=meeting,
         n_nodes=count_nodes(particles.layout, particles.x, scene.world.dx) if scene.world.frame == "reference" else 0,
     )
-    return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))
+    return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings), rasters)
 
 
 def _unused_episodes(scene: Scene) -> list[Problem]:

@@ -21,6 +21,7 @@ from cqrun.cli.describe import describe
 from cqrun.cli.doctor import doctor
 from cqrun.cli.export import export
 from cqrun.cli.gradcheck import gradcheck
+from cqrun.cli.options import with_grids
 from cqrun.cli.plot import plot
 from cqrun.cli.render import render
 from cqrun.cli.rest import rest
@@ -87,7 +88,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     with StopFlag() as stop:
         words = sys.argv[1:] if arguments is None else arguments
         try:
-            app([_with_home(word) for word in words], prog_name="cqrun")
+            app([_with_home(word) for word in with_grids(words)], prog_name="cqrun")
         except CqrunError as error:
             # a scene's problems start with file:line:column, which editors follow
             prefix = "" if isinstance(error, SceneError) else "error: "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -32,6 +33,21 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show results and war
 Seeds = Annotated[
     int | None, typer.Option("--seeds", metavar="N", help="Learn with N seeds at once, each in a separate run.")
 ]
+Resolution = Annotated[
+    str | None,
+    typer.Option(
+        "--resolution",
+        metavar="[DX,DX[,DX]]",
+        help="Run on two or three grids, finest last [m], and extrapolate the results to a cell size of zero, with an "
+        "error. Without numbers: the scene's grid, and one with cells 1.5 times smaller.",
+    ),
+]
 Jobs = Annotated[
     int | None, typer.Option("--jobs", metavar="N", help="Number of runs at once; the number of threads if not given.")
 ]
+
+
+def with_grids(words: Sequence[str]) -> Iterator[str]:
+    """Yield the words of a command line, with `auto` for an option `--resolution` that no number follows."""
+    for word, after in zip(words, [*words[1:], ""], strict=True):
+        yield "--resolution=auto" if word == "--resolution" and not after[:1].isdigit() and after[:1] != "." else word

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Threads
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Threads
 
 
 def rest(
@@ -16,6 +16,7 @@ def rest(
     out: Out = DEFAULT_OUT,
     fresh: Fresh = False,
     threads: Threads = None,
+    resolution: Resolution = None,
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
@@ -24,10 +25,19 @@ def rest(
     With a section `path`, find one equilibrium after the other, such as a curve of force against displacement.
     """
     from cqrun.cli.progress import working
-    from cqrun.cli.results import draw_and_print_run
+    from cqrun.cli.results import draw_and_print_resolution, draw_and_print_run
 
     with working(quiet, allow_plugins, f"reading {scene}") as reporter:
         from cqrun.jobs.rest import REST
+        from cqrun.jobs.studies.resolution import run_resolution
 
-        run = REST.run(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
-    draw_and_print_run(run, quiet, allow_plugins)
+        if resolution is not None:
+            study, succeeded = run_resolution(
+                scene, overrides or [], out, job=REST, grids=resolution, fresh=fresh, threads=threads, reporter=reporter
+            )
+        else:
+            run = REST.run(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
+    if resolution is not None:
+        draw_and_print_resolution(study, succeeded, quiet, allow_plugins)
+    else:
+        draw_and_print_run(run, quiet, allow_plugins)

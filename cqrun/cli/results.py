@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import typer
@@ -62,6 +63,30 @@ def draw_and_print_ablation(comparison: Path, succeeded: bool, quiet: bool) -> N
     finally:
         for line in ablation_lines(comparison):
             echo(line)
+    if not succeeded:
+        raise typer.Exit(1)
+
+
+def draw_and_print_resolution(study: Path, succeeded: bool, quiet: bool, allow_plugins: bool) -> None:
+    """Draw the run on each grid, and print what the grids show; exit with 1 if one failed.
+
+    Raises:
+        UsageError, RunError: the pictures cannot be written. Stopped: a signal has stopped the drawing.
+    """
+    from cqrun.cli.progress import working
+    from cqrun.jobs.studies.resolution import resolution_lines, runs_of
+
+    stopped = f"stopped while pictures were drawn; the runs are finished, and the numbers are in {study}"
+    try:
+        if _wanted():
+            with working(quiet, allow_plugins, "drawing pictures", stopped):
+                from cqrun.figures.draw import draw_run
+
+                for run in runs_of(study):
+                    _draw(partial(draw_run, run), f"`cqrun plot {run}` shows the details")
+    finally:
+        for line in resolution_lines(study):
+            echo(printable(line))
     if not succeeded:
         raise typer.Exit(1)
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Threads
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Threads
 
 
 def simulate(
@@ -22,6 +22,7 @@ def simulate(
     controller: Annotated[
         Path | None, typer.Option("--controller", metavar="FILE", help="Trained controller to use (controller.npz).")
     ] = None,
+    resolution: Resolution = None,
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
@@ -31,12 +32,26 @@ def simulate(
     longer time or another goal, or one of `cqrun sysid`, with the values that it identified.
     """
     from cqrun.cli.progress import working
-    from cqrun.cli.results import draw_and_print_run
+    from cqrun.cli.results import draw_and_print_resolution, draw_and_print_run
+    from cqrun.errors import UsageError
+
+    if resolution is not None and controller is not None:
+        raise UsageError("--resolution: runs a scene with its own controller, not one from a file: remove --controller")
 
     with working(quiet, allow_plugins, f"reading {scene}") as reporter:
-        from cqrun.jobs.simulate import run_simulate
+        from cqrun.jobs.simulate import SIMULATE, run_simulate
+        from cqrun.jobs.studies.resolution import run_resolution
 
-        run = run_simulate(
-            scene, overrides or [], out, fresh=fresh, threads=threads, controller=controller, reporter=reporter
-        )
-    draw_and_print_run(run, quiet, allow_plugins)
+        if resolution is not None:
+            study, succeeded = run_resolution(
+                scene, overrides or [], out, job=SIMULATE, grids=resolution, fresh=fresh, threads=threads,
+                reporter=reporter,
+            )  # fmt: skip
+        else:
+            run = run_simulate(
+                scene, overrides or [], out, fresh=fresh, threads=threads, controller=controller, reporter=reporter
+            )
+    if resolution is not None:
+        draw_and_print_resolution(study, succeeded, quiet, allow_plugins)
+    else:
+        draw_and_print_run(run, quiet, allow_plugins)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Scene, Threads
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Scene, Threads
 
 
 def sysid(
@@ -11,6 +11,7 @@ def sysid(
     out: Out = DEFAULT_OUT,
     fresh: Fresh = False,
     threads: Threads = None,
+    resolution: Resolution = None,
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
@@ -21,10 +22,20 @@ def sysid(
     Use the same command again to continue the run; if the run is finished, it says so.
     """
     from cqrun.cli.progress import working
-    from cqrun.cli.results import draw_and_print_run
+    from cqrun.cli.results import draw_and_print_resolution, draw_and_print_run
 
     with working(quiet, allow_plugins, f"reading {scene}") as reporter:
-        from cqrun.jobs.sysid import run_sysid
+        from cqrun.jobs.studies.resolution import run_resolution
+        from cqrun.jobs.sysid import SYSID
 
-        run = run_sysid(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
-    draw_and_print_run(run, quiet, allow_plugins)
+        if resolution is not None:
+            study, succeeded = run_resolution(
+                scene, overrides or [], out, job=SYSID, grids=resolution, fresh=fresh, threads=threads,
+                reporter=reporter,
+            )  # fmt: skip
+        else:
+            run = SYSID.run(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
+    if resolution is not None:
+        draw_and_print_resolution(study, succeeded, quiet, allow_plugins)
+    else:
+        draw_and_print_run(run, quiet, allow_plugins)

@@ -7,7 +7,7 @@ from cqrun.cli.terminal import echo
 
 
 def validate(scene: Scene, overrides: Overrides = None, allow_plugins: AllowPlugins = False) -> None:
-    """Check a scene and print its counts, masses, time step and the cost of the run.
+    """Check a scene and print its counts, masses, resolution, time step and the cost of the run.
 
     The scene is checked for the job that it names; use `-o job=control` to check it for another job.
     """

@@ -109,9 +109,13 @@ class Model:
 
     @property
     def state_bytes(self) -> int:
-        """Bytes of one kept state: of the particles, or in the reference frame 4 numbers of each node and spring."""
+        """Bytes of one kept state: of the particles, or in the reference frame of nodes, springs and histories.
+
+        The histories of a sorted layout have a little more padding.
+        """
         rows = self.n_nodes + -(-self.n_springs // 2)
-        numbers = 8 * rows if self.frame == "reference" else self.layout.table.n_rows * self.layout.n
+        remembered = sum(field.size for field in self.layout.history) * self.layout.n
+        numbers = 8 * rows + remembered if self.frame == "reference" else self.layout.table.n_rows * self.layout.n
         return int(numbers * np.dtype(self.real).itemsize)
 
     @property

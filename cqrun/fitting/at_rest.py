@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from cqrun.build.history import remembering
 from cqrun.build.load_path import checked_key, inputs_of
 from cqrun.build.model import Built
 from cqrun.engine.setting import MARGIN, grid_shape
@@ -72,6 +73,12 @@ def _unsuited(scene: Scene, name: str, comparison: RestComparison) -> Iterator[t
             "world.frame",
             f"is `{scene.world.frame}`, but the recording '{name}' (`{kind}`) is compared with bodies at rest, which "
             "only the reference frame has: set `world.frame: reference`",
+        )
+    for path, term in remembering(scene):
+        yield (
+            path,
+            f"the stress of `{term}` has a history, and so no equilibrium, but the recording '{name}' (`{kind}`) is "
+            "compared with bodies at rest: remove one of the two",
         )
     if scene.precision != "float64":
         yield "precision", f"is `{scene.precision}`, too coarse for bodies at rest (`{kind}`): use float64"

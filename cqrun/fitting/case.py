@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,7 +12,9 @@ import numpy as np
 from cqrun.build.model import Built
 from cqrun.build.values import collect, numbers
 from cqrun.engine.model import Records
+from cqrun.errors import CrushedError, NoRestError, RolloutError
 from cqrun.fitting.runners import AtRest, InMotion, Runner
+from cqrun.measurements.at_rest import RestComparison
 from cqrun.measurements.comparison import Comparison
 from cqrun.plugin.contract import Array
 from cqrun.running.side_by_side import Effort
@@ -99,7 +102,18 @@ class Case:
     @property
     def runner(self) -> Runner:
         """What runs its model."""
-        return AtRest(self.built, self.points) if self.points else InMotion(self.built)
+        (first, *_) = self.comparisons
+        names = first.point_names if isinstance(first, RestComparison) else ()
+        return AtRest(self.built, self.points, names) if self.points else InMotion(self.built)
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Note in errors of a run which recording it belongs to."""
+        try:
+            yield
+        except (RolloutError, NoRestError, CrushedError) as error:
+            error.recording = self.name
+            raise
 
     def run(
         self, values: Mapping[str, Array], threads: int = 1, observe: Callable[[int, State], None] | None = None,
@@ -110,12 +124,14 @@ class Case:
         Args:
             near: records of a run with other values, from whose equilibria a run at rest starts.
         """
-        return self.runner.run(self.own_values(values), threads, observe, near)
+        with self._named():
+            return self.runner.run(self.own_values(values), threads, observe, near)
 
     def residuals(self, records: Records, values: Mapping[str, Array]) -> list[Array]:
         """Return the residuals of every comparison."""
         start = self.start_of(values)
-        return [comparison.residuals(records, start) for comparison in self.compared(values)]
+        with self._named():
+            return [comparison.residuals(records, start) for comparison in self.compared(values)]
 
     def losses(self, records: Records, values: Mapping[str, Array]) -> Array:
         """Return the loss of every comparison (K,)."""
@@ -147,7 +163,8 @@ class Case:
                 total.add(bar)
             return total
 
-        by_own, effort = self.runner.gradient(self.own_values(values), loss_bar, threads, budget, near)
+        with self._named():
+            by_own, effort = self.runner.gradient(self.own_values(values), loss_bar, threads, budget, near)
         gradient = self.own_values_vjp(values, by_own)
         collect(self._offset_path, {"": offset_bar}, gradient)
         if self.start_path in gradient:

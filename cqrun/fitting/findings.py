@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from cqrun.build.thickness import thinnest_parts
 from cqrun.design.params import Block, Spread
 from cqrun.engine.model import Records
 from cqrun.fitting import assumptions
@@ -35,6 +36,7 @@ def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, ou
         iterations=outcome.iterations,
         substeps=substeps_of(cases),
         unknowns=identified(params, values),
+        thinnest=thinnest_parts(problem.cases[0].built),
     )
     if outcome.status == "stopped":
         _no_intervals(result, "the run was stopped; the values are those of its last iteration")

@@ -7,15 +7,17 @@ trajectory.h5   the first fitted case, or the first case that can be predicted, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from cqrun.build.thickness import thinnest_parts
 from cqrun.design.params import Params
 from cqrun.engine.model import Records
 from cqrun.errors import NoRestError, RolloutError
 from cqrun.fitting.case import Case
+from cqrun.measurements.at_rest import RestComparison
 from cqrun.observers.fracture import Fracture
 from cqrun.plugin.contract import Array
 from cqrun.running.observables import fracture_of
@@ -45,6 +47,7 @@ def write_predictions(
     """
     records = _predict(cases, values, result, threads, interrupt)
     result.recordings = _errors(cases, records, values)
+    result.findings += _elsewhere(cases, records, values)
     _write_tables(run, cases, records, values)
     known = [case for case, record in zip(cases, records, strict=True) if record is not None]
     first = next((case for case in known if not case.holdout), next(iter(known), None))
@@ -62,7 +65,7 @@ def write_prediction_alone(
     values = params.start_values
     result = SysidResult(
         status="done", message=NOTHING_FITTED, loss=None, iterations=0, substeps=substeps_of(cases),
-        unknowns=identified(params, values),
+        unknowns=identified(params, values), thinnest=thinnest_parts(cases[0].built) if cases else {},
     )  # fmt: skip
     for unknown in result.unknowns.values():
         unknown.reason = NOTHING_FITTED
@@ -142,6 +145,14 @@ def _errors(
                 entry |= compared[0].details(record, start)
         errors[case.name] = RecordingError(holdout=case.holdout, **entry)
     return errors
+
+
+def _elsewhere(cases: Sequence[Case], records: Sequence[Records | None], values: Mapping[str, Array]) -> Iterator[str]:
+    """Yield what is notable about single points of recordings at rest."""
+    for case, record in zip(cases, records, strict=True):
+        for comparison in case.compared(values) if record is not None else ():
+            if record is not None and isinstance(comparison, RestComparison):
+                yield from (f"{case.name}: {sentence}" for sentence in comparison.findings(record))
 
 
 def _write_tables(

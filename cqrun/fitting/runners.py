@@ -113,10 +113,12 @@ class AtRest:
 
     Attributes:
         points: the loads of each, by key path in the scene; they replace other values there.
+        names: what each is called in messages.
     """
 
     built: Built
     points: tuple[Mapping[str, float], ...]
+    names: tuple[str, ...] = ()
 
     def run(
         self, values: Values, threads: int = 1, observe: Observe | None = None, near: Records | None = None
@@ -140,7 +142,7 @@ class AtRest:
         near: Records | None = None,
     ) -> tuple[dict[str, Array], Effort]:  # fmt: skip
         """Return the gradient by path, summed over all points."""
-        path, records = self._find(values, threads, None, near)
+        path, records = self._find(values, threads, None, near, keep=True)
         total = {key: np.zeros(np.shape(value)) for key, value in values.items()}
         for point, bar in zip(self.points, path.gradients(loss_bar(records)), strict=True):
             for key, part in gradient_of(self.built, point, values, bar).items():
@@ -164,7 +166,13 @@ class AtRest:
         return RestPath(self.built.model, inputs, threads=threads, tolerance=TOLERANCE, apart=True, near=found)
 
     def _find(
-        self, values: Values, threads: int, observe: Observe | None, near: Records | None = None
+        self,
+        values: Values,
+        threads: int,
+        observe: Observe | None,
+        near: Records | None = None,
+        *,
+        keep: bool = False,
     ) -> tuple[RestPath, RestRecords]:
         path = self.path(values, threads, near)
 
@@ -174,12 +182,14 @@ class AtRest:
 
         if observe is not None:
             observe(0, path.start.state(path.rest_shape))
-        records = path.run(note)
+        records = path.run(note, keep=keep)
         last = path.points[-1]
         if not last.rest.converged:
-            loads = ", ".join(f"{key}={value:.6g}" for key, value in self.points[len(path.points) - 1].items())
+            number = len(path.points)
+            loads = ", ".join(f"{key}={value:.6g}" for key, value in self.points[number - 1].items())
+            named = f", {self.names[number - 1]}" if self.names else ""
             raise NoRestError(
-                f"no equilibrium was found at point {len(path.points)} of {len(self.points)}"
+                f"no equilibrium was found at point {number} of {len(self.points)}{named}"
                 f"{f' ({loads})' if loads else ''}: {100 * last.reached:.0f} % of the way to it was covered",
                 "the body buckles or collapses there: use a stiffer material or smaller loads, or narrower bounds",
             )

@@ -15,15 +15,17 @@ from typing import Any
 import numpy as np
 
 from cqrun.build.check_frame import touched
+from cqrun.build.history import remembering
 from cqrun.build.load_path import inputs_of, points_of
 from cqrun.build.model import Built
+from cqrun.build.thickness import thinnest_parts
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.newton import Rest
 from cqrun.engine.statics.path import Point, RestPath
 from cqrun.errors import Problem, SceneError, StopAsked
 from cqrun.fitting.at_rest import held_problem
 from cqrun.jobs.job import NO_FILES, Job
-from cqrun.running.bodies import report_bodies
+from cqrun.running.bodies import report_bodies, resolved_lines
 from cqrun.running.reporter import Reporter
 from cqrun.running.rest_table import RestTable, rest_frames, write_frame
 from cqrun.running.runs import build_and_warn
@@ -69,7 +71,8 @@ class RestJob(Job[Resting, RestResult]):
         report_bodies(built, run, talk)
         count = f"{len(points)} point{'s' if len(points) > 1 else ''}"
         talk.phase(f"finding the rest of {built.model.layout.n_particles:,} particles: {count}")
-        path = RestPath(built.model, [inputs_of(built, point) for point in points], threads=prepared.threads)
+        inputs = [inputs_of(built, point) for point in points]
+        path = RestPath(built.model, inputs, threads=prepared.threads, judge=True)
         _require_held(built, path)
         found: list[RestPoint] = []
         rows = RestTable(built, points)
@@ -106,7 +109,9 @@ class RestJob(Job[Resting, RestResult]):
         for sentence in findings:
             talk.warn(sentence)
             run.log(sentence)
-        write_result(run.path, RestResult(status=status, message=message, points=found, findings=findings))
+        write_result(run.path, RestResult(
+            status=status, message=message, points=found, findings=findings, thinnest=thinnest_parts(built),
+        ))  # fmt: skip
         if lost is None:
             delete_points(run.path)
         run.finish(status, message)
@@ -121,6 +126,7 @@ class RestJob(Job[Resting, RestResult]):
             (str(k), *(number(p.values[key]) for key in keys), f"{p.residual:.1e}", str(p.steps), str(p.products),
              "-" if p.smallest is None else f"{p.smallest:.2e}") for k, p in enumerate(result.points, start=1)
         ])  # fmt: skip
+        yield from resolved_lines(result.thinnest)
         yield from (f"note: {sentence}" for sentence in result.findings)
 
     @property
@@ -138,6 +144,8 @@ def _needs_time(scene: Scene) -> Iterator[tuple[str, str]]:
         yield "world.frame", "a body rests in the reference frame: set `world.frame: reference`"
     for path, kind in touched(scene):
         yield path, f"an equilibrium does not feel `{kind}` boundaries yet: remove it, or make it `sticky` or `slip`"
+    for path, name in remembering(scene):
+        yield path, f"the stress of `{name}` has a history, and so no equilibrium: remove it, or use `cqrun simulate`"
     if scene.bodies_meet:
         yield "bodies", "bodies do not feel each other in an equilibrium yet: find that of one body alone"
     if scene.controller is not None:

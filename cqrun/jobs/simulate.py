@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.build.model import Built
+from cqrun.build.thickness import thinnest_parts
 from cqrun.design.params import REGULARISER
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Records
@@ -29,7 +30,7 @@ from cqrun.learning.description import constraint_cells
 from cqrun.learning.learned import constraints_of
 from cqrun.learning.replay import IDENTIFIED
 from cqrun.plugin.contract import Array
-from cqrun.running.bodies import report_bodies
+from cqrun.running.bodies import report_bodies, resolved_lines
 from cqrun.running.cost import about
 from cqrun.running.drift import drift_findings
 from cqrun.running.kernels import compile_kernels
@@ -139,6 +140,7 @@ class Simulate(Job[Simulation, SimulateResult]):
              number(m.kinetic_energy)) for body, m in result.bodies.items()
         ]  # fmt: skip
         yield from table(head, rows)
+        yield from resolved_lines(result.thinnest)
         if result.terms is not None and result.loss is not None:
             values = {**result.terms, "loss": result.loss}
             yield ""
@@ -226,4 +228,5 @@ def _result(built: Built, watch: Observables, status: str, message: str, time: f
         },
         fracture=watch.fracture.most,
         findings=watch.fracture.findings(),
+        thinnest=thinnest_parts(built),
     )

@@ -19,7 +19,7 @@ from cqrun.fitting.problem import FitProblem
 from cqrun.fitting.runners import how_long
 from cqrun.jobs.job import NO_FILES, Job, Need
 from cqrun.optimizers.base import Outcome
-from cqrun.running.bodies import report_bodies
+from cqrun.running.bodies import report_bodies, resolved_lines
 from cqrun.running.cost import about
 from cqrun.running.gradient_memory import gradient_plan
 from cqrun.running.kernels import compile_kernels
@@ -139,6 +139,7 @@ class Sysid(Job[Identification, SysidResult]):
         yield from _held(result)
         yield ""
         yield from _errors(scene, result)
+        yield from resolved_lines(result.thinnest)
         yield from (f"note: {sentence}" for sentence in result.findings)
 
 

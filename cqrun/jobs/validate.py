@@ -9,6 +9,7 @@ from typing import Any
 
 from cqrun.build.check_grid import nearest_nodes
 from cqrun.build.model import Built, build
+from cqrun.build.thickness import thinnest_parts
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import ConditionModel
 from cqrun.errors import SceneError
@@ -21,7 +22,7 @@ from cqrun.jobs.table import JOBS
 from cqrun.learning.agent import Agent
 from cqrun.learning.description import control_lines, line, objective_lines
 from cqrun.learning.episodes import EpisodeProblem, differentiated, has_episodes
-from cqrun.running.bodies import lies, made_of, rounding_of
+from cqrun.running.bodies import lies, made_of, resolved, rounding_of
 from cqrun.running.cost import NANOSECONDS, duration, forward_seconds, gradient_seconds
 from cqrun.running.gradient_memory import GRADIENT, gradient_plan
 from cqrun.running.reporter import Silent
@@ -32,6 +33,7 @@ from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import own_unknowns, start
 from cqrun.store.result import LEARNED
+from cqrun.store.thinnest import Thinnest
 from cqrun.units import format_bytes
 
 MILLI = 1e3
@@ -47,8 +49,9 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     scene = built.scene
     yield f"{scene_path}: a valid scene" + (f": {scene.title}" if scene.title else "")
     yield from _world(built)
+    thinnest = thinnest_parts(built)
     for name in built.particles.names:
-        yield from _body(built, name)
+        yield from _body(built, name, thinnest[name])
     yield from _actuators(built)
     yield from _time(built)
     if built.scene.unknowns:
@@ -105,9 +108,10 @@ def _held(built: Built, condition: ConditionModel) -> str:
     return f"{nodes:,} nodes" + (f", {particles:,} particle{'s' * (particles != 1)}" if particles else "")
 
 
-def _body(built: Built, name: str) -> Iterator[str]:
+def _body(built: Built, name: str, thinnest: Thinnest) -> Iterator[str]:
     yield line(f"body {name}", made_of(built, name))
     yield line("", lies(built, name))
+    yield line("", resolved(thinnest))
     groups = [f"{group} {len(members):,}" for group, members in built.particles.groups(name).items()]
     if groups:
         yield line("", f"groups: {listed(groups)}")

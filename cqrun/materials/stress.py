@@ -67,23 +67,25 @@ def _total_kirchhoff_vjp(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
 def total_kirchhoff_both(
     terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, C: Any, tau_bar: Any
 ) -> Any:
-    """Return (tau, F_bar, C_bar) of terms without history: `total_kirchhoff` and its adjoint in one."""
+    """Return (tau, F_bar, C_bar): `total_kirchhoff` and `total_kirchhoff_vjp` in one."""
     theta = load_rows(terms[0].theta, terms[0].rows, i)
-    tau, theta_bar, F_bar, C_bar = kirchhoff_both(terms[0], theta, F, C, (), tau_bar)
-    accumulate_rows(terms_bar[0].theta, terms[0].rows, i, theta_bar)
+    found = kirchhoff_both(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)
+    accumulate_rows(terms_bar[0].theta, terms[0].rows, i, found[1])
+    accumulate_history(terms[0], q_bar, i, found[1:])
     if len(terms) == 1:
-        return tau, F_bar, C_bar
+        return found[0], found[2], found[3]
     more = total_kirchhoff_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
-    return add(tau, more[0]), add(F_bar, more[1]), add(C_bar, more[2])
+    return add(found[0], more[0]), add(found[2], more[1]), add(found[3], more[2])
 
 
 @overload(total_kirchhoff_both)
 def _total_kirchhoff_both(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
     def one(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
         theta = load_rows(terms[0].theta, terms[0].rows, i)
-        tau, theta_bar, F_bar, C_bar = kirchhoff_both(terms[0], theta, F, C, (), tau_bar)
-        accumulate_rows(terms_bar[0].theta, terms[0].rows, i, theta_bar)
-        return tau, F_bar, C_bar
+        found = kirchhoff_both(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)
+        accumulate_rows(terms_bar[0].theta, terms[0].rows, i, found[1])
+        accumulate_history(terms[0], q_bar, i, found[1:])
+        return found[0], found[2], found[3]
 
     def several(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
         tau, F_bar, C_bar = one_of(terms, terms_bar, q, q_bar, i, F, C, tau_bar)

@@ -106,12 +106,13 @@ def register(
 
 def register_with_history(
     kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any], update: Callable[..., Any],
-    update_vjp: Callable[..., Any],
+    update_vjp: Callable[..., Any], *, rate: bool = True,
 ) -> None:  # fmt: skip
-    """Register the functions of a kernel class with history."""
+    """Register the functions of a kernel class with history; `rate` as in `register`."""
     for table, body in ((_STRESS, stress), (_STRESS_VJP, stress_vjp), (_UPDATE, update), (_UPDATE_VJP, update_vjp)):
         table.register(kernel_class, body)
-    _RATES.add(kernel_class)
+    _BOTH.register(kernel_class, one_after_the_other_with_history(stress, stress_vjp))
+    _RATES.update([kernel_class] if rate else [])
 
 
 def register_volume(kernel_class: type, slope: Callable[..., Any], slope_vjp: Callable[..., Any]) -> None:
@@ -127,6 +128,17 @@ def one_after_the_other(stress: Callable[..., Any], stress_vjp: Callable[..., An
     def both(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
         bars = second(term, theta, F, C, tau_bar)
         return first(term, theta, F, C), bars[0], bars[1], bars[2]
+
+    return both
+
+
+def one_after_the_other_with_history(stress: Callable[..., Any], stress_vjp: Callable[..., Any]) -> Callable[..., Any]:
+    """Return what `one_after_the_other` returns, for a term with history."""
+    first, second = (f if hasattr(f, "py_func") else register_jitable(f) for f in (stress, stress_vjp))
+
+    def both(term: Any, theta: Any, F: Any, C: Any, h: Any, tau_bar: Any) -> Any:
+        bars = second(term, theta, F, C, h, tau_bar)
+        return first(term, theta, F, C, h), bars[0], bars[1], bars[2], bars[3]
 
     return both
 

@@ -161,6 +161,13 @@ class RestComparison(Comparison):
         return []
 
     @property
+    def point_names(self) -> tuple[str, ...]:
+        """What each point is called in messages, such as pose 'up'."""
+        return tuple(
+            f"{self.axis} '{name}'" if isinstance(name, str) else f"{self.axis} {name:g}" for name in self.along
+        )
+
+    @property
     def components(self) -> tuple[str, ...]:
         """Names of the D components, for the table and pictures."""
         size = self.data.shape[2]
@@ -190,6 +197,10 @@ class RestComparison(Comparison):
         errors = self.errors(records)
         y_bar = np.concatenate([np.zeros((1, *errors.shape[1:])), (2.0 * loss_bar / self.count) * errors])
         return self.observe_vjp(records, y_bar), 0.0
+
+    def findings(self, records: Records) -> Iterator[str]:
+        """Yield what a user should know about the errors of single points; nothing by default."""
+        yield from ()
 
     def moved(self, offset: Array) -> RestComparison:
         """Return the comparison with an offset (D,) added to every measured value."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,6 +21,9 @@ from cqrun.plugin import contract
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 from cqrun.units import METRES, Unit
+
+ELSEWHERE, FAR = 5.0, 0.5
+"""A pose ends elsewhere if its error is so many times that of most poses, and such a part of the way of its markers."""
 
 ADVICE = (
     "positions are in the axes of the scene: give `offset` if the file has another origin, `units`, or mend the rest "
@@ -117,6 +120,23 @@ class PoseComparison(RestComparison):
             for name, d, s in zip(self.along, away, seen, strict=True)
         }
         return {"mean_mm": float(away[seen].mean()), "poses_mm": each}
+
+    def findings(self, records: Records) -> Iterator[str]:
+        """Yield poses that end elsewhere than the data: far from them, beside the other poses and their own way."""
+        places = self.observe(records)
+        seen = self.seen.all(axis=2)
+        error, moved = (
+            np.ma.array(np.linalg.norm(each, axis=2), mask=~seen).mean(axis=1).filled(0.0)
+            for each in (self.errors(records), np.where(self.seen, self.data - places[0], 0.0))
+        )
+        usual = float(np.median(error[seen.any(axis=1)])) if seen.any() else 0.0
+        for name, off, way in zip(self.point_names, error, moved, strict=True):
+            if off > ELSEWHERE * usual and off > FAR * way:
+                yield (
+                    f"{name} ends {MILLI * off:.3g} mm from where it was seen, most others within {MILLI * usual:.3g} "
+                    "mm: the body may rest in several places under these loads, and was in another one, or loads of "
+                    "this pose have another sign or unit; hold the pose out, or correct it"
+                )
 
 
 # --- the file ---------------------------------------------------------------------------------------------------------

@@ -1,27 +1,31 @@
-"""Report the bodies before a run: particles, particles per cell, mass, and place in the world."""
+"""Report the bodies of a run: particles, particles per cell, mass, place in the world, and how fine the grid is."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from cqrun.build.limits import rounded_away
 from cqrun.build.model import Built
+from cqrun.build.thickness import thinnest_parts
 from cqrun.engine.model import Inputs
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter
 from cqrun.running.tables import number
 from cqrun.store.run import RunDirectory
+from cqrun.store.thinnest import Thinnest
 
 
 def report_bodies(built: Built, run: RunDirectory, talk: Reporter, inputs: Inputs | None = None) -> None:
-    """Report one line per body and write it into the run's log, with the scene's own inputs if not given."""
+    """Report two lines per body and write them into the run's log, with the scene's own inputs if not given."""
+    thinnest = thinnest_parts(built)
     size = " x ".join(number(edge) for edge in built.scene.world.size)
     for name in built.particles.names:
         text = f"{name}: {made_of(built, name, inputs)}; {lies(built, name, inputs)} of {size} m"
-        talk.say(text)
-        run.log(text)
+        for sentence in (text, f"{name}: {resolved(thinnest[name])}"):
+            talk.say(sentence)
+            run.log(sentence)
     if rounding := rounding_of(built):
         talk.say(rounding)
         run.log(rounding)
@@ -51,6 +55,18 @@ def lies(built: Built, name: str, inputs: Inputs | None = None) -> str:
     low, high = x.min(axis=0), x.max(axis=0)
     room = min(low.min(), (np.array(built.scene.world.size) - high).min())
     return f"from {point(low)} to {point(high)} m, {number(room)} m from the nearest face of the world"
+
+
+def resolved(part: Thinnest) -> str:
+    """Return the cells and the particles across the thinnest part of a body as text."""
+    cells, particles = f"{part.cells:.2g}", f"{part.particles:.2g}"
+    counts = f"{cells} cell{'s' * (cells != '1')} and {particles} particle{'s' * (particles != '1')}"
+    return f"{counts} across its thinnest part, {number(part.thickness)} m"
+
+
+def resolved_lines(thinnest: Mapping[str, Thinnest]) -> Iterator[str]:
+    """Yield a line per body about the grid in its thinnest part, for the report of a run."""
+    yield from (f"{name}: {resolved(part)}" for name, part in thinnest.items())
 
 
 def point(x: Array | Sequence[float]) -> str:

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from cqrun.design.params import Params
 from cqrun.engine.rollout import Rollout
-from cqrun.errors import CrushedError, NoRestError, RolloutError
+from cqrun.errors import CrushedError, NoRestError, RolloutError, RunError
 from cqrun.optimizers.base import TrialFailed
 from cqrun.plugin.contract import Array
 
@@ -72,16 +72,21 @@ class Effort:
 
 @contextmanager
 def trial(params: Params, x: Array) -> Iterator[None]:
-    """Turn errors of a rollout at x into TrialFailed, which names the values of the parameters."""
+    """Turn errors of a rollout at x into TrialFailed, which names the recording and the parameters' values."""
     try:
         yield
     except RolloutError as error:
         raise TrialFailed(
-            f"{error.reason}; {error.advice}", body=error.body, particle=error.particle, time=error.time,
-            values=params.describe(x),
+            f"{_recording(error)}{error.reason}; {error.advice}", body=error.body, particle=error.particle,
+            time=error.time, values=params.describe(x),
         ) from error  # fmt: skip
     except (CrushedError, NoRestError) as error:
-        raise TrialFailed(str(error), values=params.describe(x)) from error
+        raise TrialFailed(f"{_recording(error)}{error}", values=params.describe(x)) from error
+
+
+def _recording(error: RunError) -> str:
+    """Return the recording of a fit whose run ended, as the beginning of a sentence."""
+    return f"recording '{error.recording}': " if error.recording else ""
 
 
 def the_value(answers: Sequence[float | TrialFailed]) -> float:

@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field, TypeAdapter
 
 from cqrun.errors import UsageError
 from cqrun.store.model_file import Part, optional, read_model, write_model
+from cqrun.store.thinnest import Thinnest, thinnest_parts_field
 
 RESULT, GRADCHECK = "result.json", "gradcheck.json"
 
@@ -123,6 +124,7 @@ class SysidResult(Search):
     recordings: dict[str, RecordingError] | None = None
     fracture: dict[str, int] | None = None
     findings: list[str] = Field(default_factory=list)
+    thinnest: dict[str, Thinnest] = thinnest_parts_field()
 
 
 # --- control and codesign -------------------------------------------------------------------------------------------
@@ -241,6 +243,7 @@ class SimulateResult(Part):
     bodies: dict[str, BodyMotion]
     fracture: dict[str, int]
     findings: list[str]
+    thinnest: dict[str, Thinnest] = thinnest_parts_field()
     goals: dict[str, list[float]] | None = optional()
     loss: float | None = optional()
     terms: dict[str, float] | None = optional()
@@ -284,6 +287,7 @@ class RestResult(Part):
     message: str
     points: list[RestPoint]
     findings: list[str]
+    thinnest: dict[str, Thinnest] = thinnest_parts_field()
 
 
 # --- gradcheck ------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Files about several runs of one scene: the summary of its seeds, and the comparison of a design's variants."""
+"""Files about several runs of one scene: the summary of its seeds, the variants of a design, several grids."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Literal
 from pydantic import TypeAdapter
 
 from cqrun.store.model_file import Part, optional, read_model, write_model
+from cqrun.store.thinnest import Thinnest
 
 
 class Mean(Part):
@@ -96,8 +97,66 @@ class Ablation(Part):
     effects: dict[str, Mean]
 
 
-def write_study(file: Path, study: SeedsSummary | Ablation) -> None:
-    """Write a summary of seeds, or a comparison of variants.
+class GridRun(Part):
+    """The run on one grid.
+
+    Attributes:
+        dx: edge of a cell [m].
+        run: its directory.
+        status, reason: how it ended, and why if it failed.
+        overrides: what was changed in the scene.
+        thinnest: how well the grid resolves each body.
+    """
+
+    dx: float
+    run: str
+    status: str
+    reason: str | None = optional()
+    overrides: list[str]
+    thinnest: dict[str, Thinnest]
+
+
+class OnGrids(Part):
+    """A quantity on several grids, and extrapolated to a cell size of zero.
+
+    Attributes:
+        unit: its unit; empty for a pure number.
+        values: its value on each grid, finest last; None if a grid has none.
+        value, error: extrapolated value and its stated error; None if it cannot be extrapolated.
+        order: the order of convergence that was used.
+        how: whether the order was assumed or observed (jobs/studies/extrapolation.py).
+        note: why it was not extrapolated, or what else should be known.
+    """
+
+    unit: str
+    values: list[float | None]
+    value: float | None
+    error: float | None
+    order: float | None
+    how: Literal["equal", "assumed", "observed", "uneven"] | None
+    note: str | None = optional()
+
+
+class Resolution(Part):
+    """The runs of one scene on several grids, and what they show.
+
+    Attributes:
+        scene: the stem of the scene file.
+        job: the job of the runs.
+        grids: the runs, finest grid last.
+        quantities: what the runs found, by name.
+        notes: what was changed with the grid, and what differs between the grids for other reasons.
+    """
+
+    scene: str
+    job: str
+    grids: list[GridRun]
+    quantities: dict[str, OnGrids]
+    notes: list[str]
+
+
+def write_study(file: Path, study: SeedsSummary | Ablation | Resolution) -> None:
+    """Write a summary of seeds, a comparison of variants, or what several grids show.
 
     Raises:
         UsageError, RunError: the file cannot be written.
@@ -113,3 +172,8 @@ def read_seeds(file: Path) -> SeedsSummary:
 def read_ablation(file: Path) -> Ablation:
     """Return a comparison of variants; UsageError if the file is damaged, or another program wrote it."""
     return read_model(file, TypeAdapter(Ablation))
+
+
+def read_resolution(file: Path) -> Resolution:
+    """Return what several grids show; UsageError if the file is damaged, or another program wrote it."""
+    return read_model(file, TypeAdapter(Resolution))

@@ -168,7 +168,9 @@ def test_a_frame_that_is_not_there_is_skipped_with_a_word(tmp_path, monkeypatch,
     command = ["convergence", "--frames", "sideways", "--tests", "rest", "--cells", "2", "--out", str(out)]
     monkeypatch.setattr(sys, "argv", [*command, "--pictures", str(tmp_path)])
     harness.main()
-    assert "frame sideways: skipped, because this version has only updated, reference" in capsys.readouterr().out
+    assert (
+        "frame sideways: skipped, because this version has only updated, reference, averaged" in capsys.readouterr().out
+    )
     assert not out.exists()
 
 
@@ -188,9 +190,9 @@ def test_a_block_at_rest_is_measured(tmp_path, monkeypatch):
 def test_a_variant_of_a_frame_is_one_more_line(monkeypatch):
     """It sets keys of section `world`; a version that lacks one of them skips it."""
     monkeypatch.setitem(worlds.FRAMES, "deep", {"frame": "reference", "depth": "averaged"})
-    assert worlds.frames_of_this_version() == ("updated", "reference")
+    assert worlds.frames_of_this_version() == ("updated", "reference", "averaged")
     monkeypatch.setitem(worlds.FRAMES, "other", {"frame": "reference"})
-    assert worlds.frames_of_this_version() == ("updated", "reference", "other")
+    assert worlds.frames_of_this_version() == ("updated", "reference", "averaged", "other")
     built = build_swing(replace(SWING, frame="other"))
     assert built.scene.world.frame == "reference"
 

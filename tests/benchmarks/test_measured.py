@@ -47,3 +47,13 @@ def test_the_loaded_beam_at_rest_is_predicted():
     assert told["rest_predicted_from_swing_bare_mm"]["loaded"] <= 2.5
     assert told["rest_bare"]["recordings"]["loaded"]["holdout"]
     assert told["rest_bare"]["recordings"]["loaded"]["rmse_mm"] <= 2.5
+
+
+def test_the_tentacle():
+    """Eight poses: nearer than the rod model of the source, with E between its fitted value and its start."""
+    told = kept("tentacle")
+    entry = told["coarse"]
+    modulus = "bodies.arm.material.elastic.fixed_corotated.youngs_modulus"
+    assert entry["status"] == "converged"
+    assert 315e3 <= entry["unknowns"][modulus]["value"] <= 505e3
+    assert entry["recordings"]["poses"]["mean_mm"] < told["rod_model_mm"]

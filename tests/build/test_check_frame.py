@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from cqrun.build.check_frame import _thin
 from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.scene.load import load_scene
-from cqrun.state import StateField
 
 MATERIAL = {"density": 1000, "elastic": {"fixed_corotated": {"youngs_modulus": 1e4, "poissons_ratio": 0.3}}}
 BODY = {"shape": {"box": {"corner": [0.2, 0.4], "size": [0.4, 0.1]}}, "particles_per_cell": 4, "material": MATERIAL}
@@ -119,12 +116,3 @@ def test_a_shape_that_grows_keeps_two_particles_in_a_cell():
         SceneError, match=r"fewer than two in a cell of 0\.02 m, so nodes would move without resistance"
     ):
         build(load_scene(scene(unknowns={SIZE: {"bounds": [0.3, 0.5]}})))
-
-
-def test_a_history_is_refused():
-    """A term that remembers: the message names it."""
-    layout = SimpleNamespace(history=(StateField("prony.H", (2, 2), (1.0, 0.0, 0.0, 1.0)),))
-    particles = SimpleNamespace(spacing={}, layout=layout)
-    found = list(_thin(load_scene(scene()), particles))
-    assert found == [("world.frame", "the reference frame does not yet follow the history of the term `prony`: use "
-                      "`world.frame: updated`")]  # fmt: skip

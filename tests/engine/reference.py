@@ -251,11 +251,15 @@ def substep(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Moving,
         B += share[:, :, None] * arm[:, None, :]
     C = 4 / model.dx**2 * B
     F = s.F + dt * C @ s.F
-    relaxed = {
+    return Moving(s.x + dt * v, v, C, F, relaxed(inputs, s.history, F, dt)), taut + branches
+
+
+def relaxed(inputs: Inputs, history: dict[str, Array], F: Array, dt: float) -> dict[str, Array]:
+    """Return what a relaxing stress remembers after a substep that ends at F."""
+    return {
         name: (time * relaxed_to + dt * strain(F)) / (time + dt)
-        for (name, relaxed_to), (_, time) in zip(s.history.items(), inputs.terms[0][4:], strict=True)
+        for (name, relaxed_to), (_, time) in zip(history.items(), inputs.terms[0][4:], strict=True)
     }
-    return Moving(s.x + dt * v, v, C, F, relaxed), taut + branches
 
 
 def rollout(
@@ -279,8 +283,14 @@ def rollout(
         branches.append(taken)
     rows.append(seen(W, s))
     inputs.state.memory = memory
-    x, v, C, F, *relaxed = (np.array([r[name] for r in rows]) for name in rows[0])
-    return Records(x, v, C, F, dict(zip(state.history, relaxed, strict=True))), s, branches
+    return recorded(rows), s, branches
+
+
+def recorded(rows: list[dict[str, Array]]) -> Records:
+    """Return records of what was seen at every control step."""
+    arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    x, v, C, F = (arrays.pop(name) for name in "xvCF")
+    return Records(x, v, C, F, history=arrays)
 
 
 def seen(W: Array, s: Moving) -> dict[str, Array]:

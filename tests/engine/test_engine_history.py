@@ -206,12 +206,25 @@ def finish(process: subprocess.Popen[str]) -> None:
     assert process.returncode == 0, out + err
 
 
+FRAMES = {
+    "updated": "frame: updated",
+    "reference": "frame: reference",
+    "averaged": "frame: reference, volume: averaged",
+}
+
+
+def framed(name: str) -> str:
+    """Return the scene in one frame."""
+    return SCENE.replace("frame: updated", FRAMES[name])
+
+
 @needs_jit
-def test_the_trajectory_file_has_the_history(tmp_path):
-    (tmp_path / "scene.yaml").write_text(SCENE)
+@pytest.mark.parametrize("frame", FRAMES)
+def test_the_trajectory_file_has_the_history(frame, tmp_path):
+    (tmp_path / "scene.yaml").write_text(framed(frame))
     finish(cqrun("simulate", tmp_path / "scene.yaml", "--out", tmp_path))
     (path,) = tmp_path.glob("scene/*/trajectory.h5")
-    built, seen = build(load_scene(SCENE)), {}
+    built, seen = build(load_scene(framed(frame))), {}
     make_rollout(built.model, built.assembly.inputs({})).run(observe=seen.__setitem__)
     with h5py.File(path) as file:
         strain = file["particles"][STRAIN][:]
@@ -222,9 +235,10 @@ def test_the_trajectory_file_has_the_history(tmp_path):
 
 
 @needs_jit
-def test_a_fit_that_is_killed_goes_on_to_the_same_bits(tmp_path):
+@pytest.mark.parametrize("frame", ["updated", "averaged"])
+def test_a_fit_that_is_killed_goes_on_to_the_same_bits(frame, tmp_path):
     scene = tmp_path / "scene.yaml"
-    scene.write_text(SCENE + FIT)
+    scene.write_text(framed(frame) + FIT)
     finish(cqrun("sysid", scene, "--out", tmp_path / "whole"))
     process = cqrun("sysid", scene, "--out", tmp_path / "killed")
     rows = 0

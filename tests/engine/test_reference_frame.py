@@ -290,9 +290,9 @@ def test_a_motion_that_blows_up_is_reported():
 # --- boundaries that move ---------------------------------------------------------------------------------------------
 
 
-def carried(dim, viscous=False, over=None):
+def carried(dim, viscous=False, over=None, **options):
     """Return a rich model whose clamp moves and turns, and its inputs."""
-    model, inputs = held(dim, viscous=viscous)
+    model, inputs = held(dim, viscous=viscous, **options)
     turns = 1 if dim == 2 else 3
     spec = Sticky(face="x_min", displacement=[0.0] * dim, rotation=[0.0] * turns, over=over)
     conditions = [

@@ -4,7 +4,7 @@ Weights and arms d = X_n - X_p are those of the rest positions, and every body h
 
     F_p = I + A sum_n w u_n d^T,  f_n = -sum_p w A vol0 P d + sum_p w f_p,  v' = kept v / m + dt f / m,  u' = u + dt v'
 
-with A = 4 / dx^2. Stresses and forces are those of `reference.py`.
+with A = 4 / dx^2. Stresses, forces and histories are those of `reference.py`.
 """
 
 from __future__ import annotations
@@ -52,13 +52,15 @@ def scattered(stencils: list[tuple[Array, Array, Array]], n_nodes: int, p: Array
     return out
 
 
-def motion(model: Model, X: Array, stencils: list[tuple[Array, Array, Array]], u: Array, v: Array) -> Moving:
+def motion(
+    model: Model, X: Array, stencils: list[tuple[Array, Array, Array]], u: Array, v: Array, history: dict[str, Array]
+) -> Moving:
     """Return what particles do if nodes have these displacements and velocities."""
     A = 4 / model.dx**2
     moved, gradient = gathered(stencils, u)
     speed, rate = gathered(stencils, v)
     F = np.eye(model.dim) + A * gradient
-    return Moving(X + moved, speed, A * rate @ np.linalg.inv(F), F)
+    return Moving(X + moved, speed, A * rate @ np.linalg.inv(F), F, history)
 
 
 def ghost_runs(
@@ -117,8 +119,8 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
     watch(touching, meeting)
     runs, mu = ghost_runs(model, stencils, fields.volume), mean_shear_modulus(model, inputs)
     W, rows = model.probe.toarray(), []
+    s = motion(model, X, stencils, u, v, inputs.state.history)
     for step in range(model.n_steps):
-        s = motion(model, X, stencils, u, v)
         if step % model.substeps == 0:
             rows.append(reference.seen(W, s))
         pushed, _ = reference.active_force(model, inputs, s, step)
@@ -136,6 +138,7 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
         after[present] = ((kept[:, None] * v + dt * f)[present]) / m[present, None]
         v = held(model, after, present)
         u = u + dt * v
-    last = motion(model, X, stencils, u, v)
-    rows.append(reference.seen(W, last))
-    return Records(*(np.array([r[name] for r in rows]) for name in "xvCF")), last
+        s = motion(model, X, stencils, u, v, s.history)
+        s.history = reference.relaxed(inputs, s.history, s.F, dt)
+    rows.append(reference.seen(W, s))
+    return reference.recorded(rows), s

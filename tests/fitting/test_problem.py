@@ -13,6 +13,7 @@ from cqrun.errors import CrushedError, RolloutError
 from cqrun.fitting.case import Case
 from cqrun.fitting.cases import make_cases
 from cqrun.fitting.problem import FitProblem
+from cqrun.fitting.runners import InMotion
 from cqrun.optimizers.base import TrialFailed
 from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
@@ -79,6 +80,20 @@ def test_a_trial_that_blows_up_spoils_no_other(problem, monkeypatch):
     assert value == problem.value(x)
     with pytest.raises(TrialFailed):
         problem.value(bad)
+
+
+def test_a_failed_trial_names_its_recording(problem, monkeypatch):
+    def blows_up(*rest, **named):
+        raise RolloutError("left the grid", body="beam", particle=3, time=0.1, advice="use a stiffer one")
+
+    for name in ("run", "gradient"):
+        monkeypatch.setattr(InMotion, name, blows_up)
+    name = problem.cases[0].name
+    for evaluate in (problem.value, problem.value_and_grad, problem.residuals):
+        with pytest.raises(
+            TrialFailed, match=f"particle 3, t = 0.1 s: recording '{name}': left the grid; use a stiffer"
+        ):
+            evaluate(problem.start)
 
 
 def test_still_values_are_scaled_like_their_residuals(fit, tmp_path):

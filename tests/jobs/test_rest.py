@@ -179,6 +179,34 @@ def test_a_load_without_an_equilibrium_ends_the_path(scene, tmp_path):
     assert len(rows_of(run)) == 1
 
 
+COLUMN = """\
+cqrun: 1
+title: a clamped column under a load
+job: rest
+world: {size: [0.06, 0.2], dx: 0.005, gravity: [0, 0]}
+bodies:
+  column:
+    shape: {box: {corner: [0.02, 0.02], size: [0.02, 0.16]}}
+    particles_per_cell: 4
+    material: {density: 1000, elastic: {fixed_corotated: {youngs_modulus: 1.0e5, poissons_ratio: 0.3}}}
+boundaries:
+  clamp: {sticky: {region: {box: {corner: [0, 0], size: [0.06, 0.04]}}}}
+loads:
+  push: {point_force: {body: column, force: [0, 0], region: {box: {corner: [0.02, 0.175], size: [0.02, 0.005]}}}}
+path: {loads.push.point_force.force.1: [-3.0, -5.0]}
+"""
+"""Euler: pi^2 EI / (4 L^2 (1 - nu^2)) is 9.2 N/m; the column is thick, so that it buckles a little sooner."""
+
+
+def test_a_column_beyond_its_buckling_load_is_a_finding(tmp_path):
+    """Symmetric loads keep it straight, where no real column stays."""
+    (tmp_path / "column.yaml").write_text(COLUMN)
+    run = rest(tmp_path / "column.yaml", tmp_path / "out", "path.loads.push.point_force.force.1=[-4, -14]")
+    result = result_of(run)
+    assert [point["negative"] for point in result["points"]] == [False, True]
+    assert any("at point 2 the stiffness has a negative eigenvalue" in finding for finding in result["findings"])
+
+
 REFUSED = {
     "frame": (["world.frame=updated"], "world.frame: a body rests in the reference frame"),
     "key": (["path={loads.push.point_force.force.1: [0, 1]}"], "path.loads.push.point_force.force.1"),

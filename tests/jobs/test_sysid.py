@@ -310,8 +310,9 @@ def test_a_kernel_is_announced_once_for_its_kind(fit, tmp_path, monkeypatch):
     compiling = f"compiling kernels, up to half a minute (once for scenes of this kind: {words})"
     assert said[0] == [compiling, *said[1]]
     assert said[1][0].startswith("beam: 40 particles, 4 per cell")
+    assert said[1][1] == "beam: 1 cell and 2 particles across its thinnest part, 0.01 m"
     lasts = "less than 0.1 s a rollout on one core"
-    assert said[1][1:] == [
+    assert said[1][2:] == [
         f"making data, {lasts}", f"fitting 2 unknowns, {lasts}",
         f"intervals, predictions, trajectory, {lasts}",
     ]  # fmt: skip

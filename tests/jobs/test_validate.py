@@ -29,6 +29,7 @@ def test_it_counts_and_weighs(beam):
     assert re.search(r"clamp \(sticky, \d+ nodes, 10 particles\)", text)  # up to x = 0.045 m
     assert "40 particles, 4 per cell, 0.005 m apart; mass 1 kg/m" in text  # 0.1 m x 0.01 m x 1000 kg/m^3
     assert "from (0.0225, 0.0625) to (0.1175, 0.0675) m, 0.0225 m from the nearest face of the world" in text
+    assert "1 cell and 2 particles across its thinnest part, 0.01 m\n" in text
     assert "groups: root 20\n" in text
     assert "10 control steps of 0.01 s, each of 24 substeps of 0.00041667 s: 240 substeps" in text
     assert re.search(r"0\.\d\d of the largest stable substep, 0.00\d+ s \(bodies.beam.material\)", text)

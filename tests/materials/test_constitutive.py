@@ -56,42 +56,6 @@ def test_dot_product(name, dim, rng):
         assert error <= DOT_PRODUCT, argument
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in all_names() if term.has_volume(type(make(name, 3, np.random.default_rng(0)).kernel))]
-)
-def test_the_slope_of_the_energy_of_volume(name, rng):
-    law, J, J_bar, h = make(name, 3, rng), rng.uniform(0.7, 1.4, N), rng.normal(size=N), 1e-30j
-
-    def slope(theta, J):
-        return term.volume_slope(law.kernel, tuple(theta), J)
-
-    theta_bar, through_J = term.volume_slope_vjp(law.kernel, tuple(law.theta), J, J_bar)
-    close(through_J, slope(law.theta + 0j, J + h).imag / 1e-30 * J_bar)
-    for row, found in enumerate(theta_bar):
-        moved = law.theta + 0j
-        moved[row] += h
-        close(found + np.zeros(N), slope(moved, J + 0j).imag / 1e-30 * J_bar)
-
-
-@ELASTIC
-@DIM
-def test_without_the_energy_of_volume_a_stress_stays_finite_as_nu_nears_a_half(name, dim, rng):
-    """This is what lets averaged volumes cure locking: the particles' own stress no longer knows of lambda."""
-    law, (F, C) = make(name, dim, rng), states(dim, rng)
-    if not term.has_volume(type(law.kernel)):
-        pytest.skip("this law has no energy of volume")
-    rest, whole = [], []
-    for nu in (0.49, 0.4999):
-        theta = law.theta.copy()
-        theta[1] = nu
-        J = np.linalg.det(F)
-        own = (J * term.volume_slope(law.kernel, tuple(theta), J))[:, None, None] * np.eye(dim)
-        whole.append(np.abs(law.tau(F, C, theta)).max())
-        rest.append(np.abs(law.tau(F, C, theta) - own).max())
-    assert whole[1] > 20 * whole[0]
-    assert rest[1] == pytest.approx(rest[0], rel=0.02)
-
-
 class _Strange(NamedTuple):
     """A kernel class that nobody registered."""
 

@@ -48,6 +48,7 @@ from cqrun.store.trajectory import read_trajectory
 
 OFFSET = (1.5e-3, -0.8e-3)
 OFFSETS = [f"data.recordings.arm.offset.{k}" for k in range(2)]
+NO_REST = r"recording 'arm': no equilibrium was found at point \d of 5, pose '[a-z ]+' \(actuators.*% of the way"
 TILT = "data.recordings.arm.overrides.world.gravity.0"
 
 
@@ -323,9 +324,27 @@ def test_values_without_an_equilibrium_are_a_failed_trial(folder):
     """Newton's method cannot reach an arm that is a thousand times too soft."""
     unknowns = f"  {E}: {{bounds: [1.0, 4.0e5], scale: log}}\n"
     problem = problem_of(scene_of(folder, recording(), unknowns))
-    with pytest.raises(TrialFailed, match=r"no equilibrium was found at point \d of 5 \(actuators.*% of the way"), \
-         np.errstate(all="ignore"):  # fmt: skip
+    with pytest.raises(TrialFailed, match=NO_REST), np.errstate(all="ignore"):
         problem.value(np.array([0.0]))
+
+
+@pytest.mark.parametrize("mirrored", ["up more", "down"])
+def test_a_pose_that_ends_elsewhere_than_the_data_is_a_finding(mirrored, folder):
+    """The arm of the recording had snapped to the other side in one pose, or its load has another sign."""
+    text = (folder / "poses.csv").read_text().splitlines()
+    for k, line in enumerate(text):
+        pose, *loads, marker, x, y = line.split(",")
+        if pose == mirrored and marker == "tip":
+            text[k] = ",".join([pose, *loads, marker, x, str(2 * 0.06 - float(y))])
+    (folder / "poses.csv").write_text("\n".join(text))
+    run = run_sysid(scene_of(folder, recording(holdout="true")), [f"{E}={TRUE}"], folder / "runs", threads=1)
+    (finding,) = [each for each in result_of(run)["findings"] if "from where it was seen" in each]
+    assert finding.startswith(f"arm: pose '{mirrored}' ends ")
+    assert "the body may rest in several places under these loads" in finding
+
+
+def test_poses_near_the_data_are_not(found):
+    assert not any("from where it was seen" in each for each in result_of(found)["findings"])
 
 
 def test_a_whole_axis_and_single_cells_may_be_missing(folder):

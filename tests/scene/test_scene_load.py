@@ -142,7 +142,7 @@ def test_short_and_long_form_of_a_union_are_the_same_path(beam: str) -> None:
         ("world.dx=!!python/name:os.system x", "world.dx: the tag tag:yaml.org,2002:python"),
         ("world.dx=small", "world.dx: must be a number in m, is 'small'"),
         ("world.dx.x=1", "world.dx: must be a number in m, is a mapping"),
-        ("world.dy=1", "world.dy: unknown key; keys here: size, dx, frame, contact, gravity"),
+        ("world.dy=1", "world.dy: unknown key; keys here: size, dx, frame, volume, contact, gravity"),
         (
             "world={size: [1, 1], dx: 1,02}",
             "world.02: is a number after a comma: if the comma is decimal, write a point",

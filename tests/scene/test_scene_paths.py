@@ -116,7 +116,7 @@ def test_with_values_can_add_a_named_part(beam: str) -> None:
     [
         (NU_PATH, 0.5, "must be less than 0.5, is 0.5"),
         (SHEAR, float("nan"), "must be a finite number, is nan"),
-        ("world.dz", 1.0, "unknown key; keys here: size, dx, frame, contact, gravity"),
+        ("world.dz", 1.0, "unknown key; keys here: size, dx, frame, volume, contact, gravity"),
         ("world.gravity.9", 1.0, "there is no entry '9' in a list of 2"),
     ],
 )

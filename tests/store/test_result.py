@@ -29,6 +29,7 @@ from cqrun.store.result import (
     values_in,
     write_result,
 )
+from cqrun.store.thinnest import Thinnest
 
 E = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus"
 SHEAR = "bodies.beam.material.viscosity.shear"
@@ -71,6 +72,7 @@ SIMULATE = SimulateResult(
     bodies={"beam": BodyMotion(centroid=[0.1, 0.2], kinetic_energy=1e-9, fastest=0.3, least_volume_ratio=0.9)},
     fracture={"beam": 0},
     findings=[],
+    thinnest={"beam": Thinnest(thickness=0.01, cells=1.0, particles=2.0)},
 )
 GRADCHECK = GradcheckResult(
     agrees=False,

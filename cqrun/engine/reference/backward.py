@@ -13,6 +13,8 @@ from cqrun.engine.probe import record_vjp
 from cqrun.engine.reference.contacts import add_friction_bars, rest_bars, with_own_bars
 from cqrun.engine.reference.corners import add_means_bar, with_bars
 from cqrun.engine.reference.ghost import GAMMA, mean_modulus, mean_modulus_vjp
+from cqrun.engine.reference.history import rows_of_state, rows_of_table
+from cqrun.engine.reference.history import with_bars as with_histories_bars
 from cqrun.engine.reference.moves import poses_vjp
 from cqrun.engine.reference.setting import NodeBars
 from cqrun.engine.reference.shape import make_shape_bars, motion_bar
@@ -54,6 +56,7 @@ class ReferenceBackward(BackwardRun):
         self.parts = tuple(
             (pair, means, *bodies) for pair, means, (_, _, *bodies) in zip(self.pairs, self.means, r.parts, strict=True)
         )
+        self.histories = with_histories_bars(r.histories, r.groups, self.groups_bar)
         self.moves = tuple((moves, np.zeros_like(moves.pose)) for moves in r.moves)
         self.contacts = with_own_bars(r.contacts, r.inputs)
         self.finished = False
@@ -67,6 +70,9 @@ class ReferenceBackward(BackwardRun):
         crew, colours = Crew(0, 1), self.rollout.rest.patches.colours
         bars = self.bundle if q_bar is self.q_bar else self.trial
         see_vjp(self.rollout.bundle, bars, colours, self.here[0], self.here[1], q_bar[0], q_bar[1], crew)
+        for each in self.histories:
+            q_bar[:, each.begin :] += rows_of_state(self.bundle.q, each.first)
+            self.bundle.q[:, each.first :] = 0.0
 
     def _add_state(self, bar: State) -> None:
         layout, real = self.rollout.model.layout, self.rollout.model.real
@@ -83,14 +89,16 @@ class ReferenceBackward(BackwardRun):
 
         def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
             reverse(
-                self.parts, r.conditions, r.loads, r.ghosts, self.moves, self.contacts, r.drive, self.stresses,
-                self.drive_bar.levels, r.bundle, self.bundle, r.rest.patches.colours, states, from_, end,
-                self.reverses, r.probe, self.records_bar, Crew(thread, n),
+                self.parts, self.histories, r.conditions, r.loads, r.ghosts, self.moves, self.contacts, r.drive,
+                self.stresses, self.drive_bar.levels, r.bundle, self.bundle, r.rest.patches.colours, states, from_,
+                end, self.reverses, r.probe, self.records_bar, Crew(thread, n),
             )  # fmt: skip
 
         if r.threads > 1:
             body(0, end, 1)
         r.team.run(body)
+        for each in self.histories:  # in the state's cotangent now
+            self.bundle.q[:, each.first :] = 0.0
 
     def inputs_bar(self) -> Inputs:
         """Return the cotangent of the inputs."""
@@ -136,6 +144,7 @@ class ReferenceBackward(BackwardRun):
         value, moment = self.rollout.rest.to_particles(v_bar)
         m = self.rollout.inputs.fields.mass
         bar.v[:], bar.C[:] = m[:, None] * value, m[:, None, None] * moment * model.dx
+        self._add_histories(bar)
         momentum = np.einsum("nd,nd->n", value, start.v) + model.dx * np.einsum("nde,nde->n", moment, start.C)
         if not self.finished:
             add_friction_bars(self.contacts, self.rollout.model, self.coefficient_bar)
@@ -161,6 +170,15 @@ class ReferenceBackward(BackwardRun):
             + rest.to_nodes_vjp(bars, np.stack([m, kept], axis=1))
             + rest.to_nodes_vjp(v_bar, *momentum)
         )
+
+    def _add_histories(self, bar: State) -> None:
+        """Write the cotangents of the histories at the start to that of the state."""
+        layout = self.rollout.model.layout
+        for each in self.histories:
+            h = rows_of_table(self.q_bar[:, each.begin :], layout.table.n_rows - each.first)[:, layout.columns()]
+            for name, array in bar.history.items():
+                rows = layout.table.rows[name]
+                array[...] = h[rows.start - each.first : rows.stop - each.first].T.reshape(array.shape)
 
     def _finish_masses(self, mass_bar: Array, momentum: Array) -> None:
         """Add the cotangents of the nodes' masses, and of the momentum at the start, to those of the particles."""

@@ -2,7 +2,7 @@
 
 A gradient runs the substeps backwards where that is exact, and keeps only a few states to start again from. It keeps
 checkpoints as the other frame does where the motion loses what a reversed run would need: with stresses or forces that
-depend on velocities, and with strong damping.
+depend on velocities, with histories, and with strong damping.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from cqrun.engine.reference.backward import ReferenceBackward
 from cqrun.engine.reference.contacts import clear_slid, has_slid, make_contacts
 from cqrun.engine.reference.corners import make_means
 from cqrun.engine.reference.ghost import GAMMA, Ghost, kernel_ghost, mean_modulus
+from cqrun.engine.reference.history import make_histories, put_histories, rows_of_state
 from cqrun.engine.reference.look import look
 from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, progress
 from cqrun.engine.reference.rest import rest_geometry
@@ -80,6 +81,7 @@ class ReferenceRollout(Rollout):
         )
         self.ghosts = self._make_ghosts()
         self.bundle = self._make_run()
+        self.histories = make_histories(model, self.groups, self._rows_of_motion())
         self.moves = self._make_moves()
         self.start = self._make_start()
         self.kept_because = self._why_kept()
@@ -107,10 +109,13 @@ class ReferenceRollout(Rollout):
         threads, n_nodes = self.threads, patches.n_nodes
         rates = any(needs_rate(type(term)) for group in self.groups for term in group.terms)
         rates = rates or any(needs_velocity(type(force)) for force in self.drive.forces)
-        setting = NodeSetting((0,) * model.dim, patches.strides, model.dx, model.dt, model.substeps, (0,) * rates)
+        setting = NodeSetting(
+            (0,) * model.dim, patches.strides, model.dx, model.dt, model.substeps, (0,) * rates,
+            (0,) * bool(model.layout.history),
+        )  # fmt: skip
         tiles = Tiles(*(aligned((threads, rows * TILE, 4), real) for rows in (1, 3, 1, 3, 3)))
         push = model.no_push([*self.drive.steady, *self.drive.forces])
-        q = State.at_rest(self.inputs.state.x, model.layout.history).pack(model.layout, real)
+        q = replace(State.at_rest(self.inputs.state.x), history=self.inputs.state.history).pack(model.layout, real)
         force, outside = aligned((n_nodes, 4), real), aligned((n_nodes, 4), real)
         return NodeRun(
             setting, nodes, self.rest.stencils, patches.units, self.rest.rest, self.fields, push, force, outside, q,
@@ -129,11 +134,15 @@ class ReferenceRollout(Rollout):
     def _make_start(self) -> Array:
         """Return the state at the start: no displacement, the particles' momentum on the nodes, and relaxed springs.
 
-        It is (2, M + E, 4); M nodes are followed by E rows of springs.
+        It is (2, M + E + H, 4); M nodes are followed by E rows of springs and H rows of histories.
         """
         state, m, dim = self.inputs.state, self.inputs.fields.mass, self.model.dim
         n_nodes = self.rest.patches.n_nodes
-        start = aligned((2, n_nodes + -(-self.model.n_springs // 2), 4), self.model.real)
+        histories = [rows_of_state(self.bundle.q, each.first) for each in self.histories]
+        rows = self._rows_of_motion() + sum(each.shape[1] for each in histories)
+        start = aligned((2, rows, 4), self.model.real)
+        for own in histories:
+            start[:, self._rows_of_motion() :] = own
         momentum = self.rest.to_nodes(m[:, None] * state.v, m[:, None, None] * state.C * self.model.dx)
         active = self.bundle.nodes.active
         v = np.zeros_like(momentum)
@@ -144,8 +153,14 @@ class ReferenceRollout(Rollout):
         start[1, :n_nodes, :dim] = v
         return start
 
+    def _rows_of_motion(self) -> int:
+        """Return how many rows of a state are of nodes and springs."""
+        return self.rest.patches.n_nodes + -(-self.model.n_springs // 2)
+
     def _why_kept(self) -> str:
         """Return why the state before a substep does not follow from the one after it; empty if it does."""
+        if self.histories:
+            return "stresses have a history"
         if self.bundle.setting.rates:
             return "stresses or forces depend on velocities"
         if self._refresh() < 1:
@@ -224,7 +239,8 @@ class ReferenceRollout(Rollout):
         note(self.bundle, self.start[0], self.start[1], self.probe, self.records[0], crew)
 
     def unpack(self, q: Array, control: int) -> State:
-        """Return the state of the particles for the motion of the nodes (2, M, 4)."""
+        """Return the state of the particles for a state of the nodes (2, M + E + H, 4)."""
+        put_histories(self.histories, self.bundle.q, q)
         look(self.bundle, q[0], q[1], Crew(0, 1))
         return State.unpack(self.bundle.q, self.model.layout, self.memory[control])
 
@@ -234,8 +250,8 @@ class ReferenceRollout(Rollout):
 
         def body(thread: int, to: int = end, n: int = self.threads) -> int:
             reached: int = advance(
-                self.parts, self.conditions, self.loads, self.ghosts, self.moves, self.contacts, self.drive,
-                self.bundle, colours, states, begin, to, keep, self.probe, self.records, Crew(thread, n),
+                self.parts, self.histories, self.conditions, self.loads, self.ghosts, self.moves, self.contacts,
+                self.drive, self.bundle, colours, states, begin, to, keep, self.probe, self.records, Crew(thread, n),
             )  # fmt: skip
             return reached
 

@@ -21,6 +21,7 @@ class NodeSetting(NamedTuple):
     dt: float
     substeps: int  # in a control step
     rates: tuple[int, ...]  # one entry if a stress depends on the velocity gradient, else none
+    histories: tuple[int, ...]  # one entry if a stress has a history, else none
 
 
 class Nodes(NamedTuple):
@@ -69,7 +70,7 @@ class NodeRun(NamedTuple):
     push: Array  # (D, n) steady forces, packed [N]; without columns if there are none
     force: Array  # (M, 4) internal forces [N]
     outside: Array  # (M, 4) external forces, which are constant in a control step [N]
-    q: Array  # (rows, n) the particles' state at the end of a control step, packed
+    q: Array  # (rows, n) the particles' state at the end of a control step, packed; histories are always current
     tiles: Tiles
     least: Array  # (3,) least principal stretch of a particle so far, its column, and the substep
     stray: Array  # (1,) first node that is not finite, else -1
@@ -102,7 +103,7 @@ class NodeBars(NamedTuple):
     ghost: Array  # (R,) of `Ghost.scale`
     outside: Array  # (M, 4) of the external forces, summed over a control step
     fields: Array  # of the particles, packed
-    q: Array  # (rows, n) of the particles' state, packed
+    q: Array  # (rows, n) of the particles' state, packed; while substeps run, those of the histories
     push: Array  # (D, n) of the forces on particles in one substep, packed
     steady: Array  # (D, n) of the steady forces, packed
     friction: Array  # (conditions,) of the boundaries' coefficients

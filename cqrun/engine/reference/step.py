@@ -1,8 +1,9 @@
 """The substeps of the reference frame, and their adjoints; every thread runs these loops.
 
 A substep is one sweep over the particles (`sweep.py`), forces on points (`forces.py`) and one pass over the nodes
-(`nodes.py`). Its adjoint is the same with two more fields. A reversed run keeps no states: it finds the state before
-each substep from the one after it, which is exact but for rounding.
+(`nodes.py`). Histories of materials are updated after it (`history.py`). Its adjoint is the same with two more fields.
+A reversed run keeps no states: it finds the state before each substep from the one after it, which is exact but for
+rounding.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from cqrun.engine.probe import record, record_vjp
 from cqrun.engine.reference.contacts import Contacts, touch_all, touch_all_vjp, touch_rates_all_vjp
 from cqrun.engine.reference.forces import pull_each, pull_each_vjp
 from cqrun.engine.reference.ghost import haunt_each, haunt_each_vjp
+from cqrun.engine.reference.history import keep_each, recall_each, remember_each, remember_each_vjp
 from cqrun.engine.reference.look import look, look_vjp
 from cqrun.engine.reference.moves import bring_back_pairs, carry_each, carry_each_vjp
 from cqrun.engine.reference.nodes import begin_vjp, end_vjp, kick
@@ -51,23 +53,26 @@ def find_stray(run: NodeRun, u: Array, crew: Crew) -> None:
 
 @kernel
 def advance(
-    parts: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Contacts, drive: Drive, run: NodeRun,
-    colours: Array, states: Array, begin: int, end: int, keep: bool, probe: Probe, records: Array, crew: Crew,
+    parts: Any, histories: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Contacts, drive: Drive,
+    run: NodeRun, colours: Array, states: Array, begin: int, end: int, keep: bool, probe: Probe, records: Array,
+    crew: Crew,
 ) -> int:  # fmt: skip
     """Run substeps begin .. end from states[0]; return the substep reached.
 
     With `keep`, states[k] becomes the state after k substeps; otherwise states[0] is overwritten. A state has the
-    displacements and the velocities of the nodes, and after them the springs of contact, (2, M + E, 4). Record at the
-    end of every control step, and stop there if a node is not finite (`run.stray`).
+    displacements and the velocities of the nodes, after them the springs of contact, and then the histories,
+    (2, M + E + H, 4). Record at the end of every control step, and stop there if a node is not finite (`run.stray`).
 
     Args:
         parts: groups with their first and last bodies.
+        histories: those of materials, or none.
         loads: forces on points, as in `forces.py`.
         ghosts: the ghost penalty, or none.
         moves: the nodes of boundaries that move, or none.
         contacts: what bodies touch.
     """
     substeps = run.setting.substeps
+    recall_each(histories, run, run.q, states[0, 0], states[0, 1], crew)
     for step in range(begin, end):
         here = step - begin if keep else 0
         after = here + 1 if keep else 0
@@ -83,6 +88,8 @@ def advance(
         kick(conditions, run, at, states[after, 0], crew)
         barrier(run.arrivals, crew.n_threads)
         carry_each(moves, run, u, states[after, 0], states[after, 1], step, crew)
+        write = keep or step + 1 == end
+        remember_each(histories, run, states[after, 0], states[after, 1], colours, write, crew)
         if (step + 1) % substeps == 0:
             find_stray(run, states[after, 0], crew)
             if run.stray[0] >= 0:
@@ -123,7 +130,7 @@ def note_vjp(
 def see_vjp(
     run: NodeRun, bars: NodeBars, colours: Array, u: Array, v: Array, u_bar: Array, v_bar: Array, crew: Crew
 ) -> None:
-    """Add the adjoint of `look` at bars.q to the cotangents of the state; clear bars.q."""
+    """Add the adjoint of `look` at bars.q to the cotangents of the state; clear bars.q, but not the histories."""
     lo, hi = share(len(run.nodes.active), crew.thread, crew.n_threads)
     for index in range(lo, hi):
         n = run.nodes.active[index]
@@ -137,8 +144,9 @@ def see_vjp(
             u_bar[n, d] += bars.pairs[2 * n, d]
             v_bar[n, d] += bars.pairs[2 * n + 1, d]
     lo, hi = share(bars.q.shape[0], crew.thread, crew.n_threads)
+    dim = len(run.setting.dims)
     for i in range(lo, hi):
-        for row in range(bars.q.shape[1]):
+        for row in range(2 * dim * (1 + dim)):  # x, v, C and F
             for k in range(bars.q.shape[2]):
                 bars.q[i, row, k] = 0.0
     barrier(run.arrivals, crew.n_threads)
@@ -146,16 +154,18 @@ def see_vjp(
 
 @kernel
 def reverse(
-    pairs: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Contacts, drive: Drive, stresses: Any,
-    levels_bar: Levels, run: NodeRun, bars: NodeBars, colours: Array, states: Array, begin: int, end: int,
-    reversed_: bool, probe: Probe, records_bar: Array, crew: Crew,
+    pairs: Any, histories: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Contacts, drive: Drive,
+    stresses: Any, levels_bar: Levels, run: NodeRun, bars: NodeBars, colours: Array, states: Array, begin: int,
+    end: int, reversed_: bool, probe: Probe, records_bar: Array, crew: Crew,
 ) -> None:  # fmt: skip
     """Run the adjoints of substeps end - 1 .. begin.
 
     states[k] is the state of substep begin + k; if `reversed_`, states[0] is that of substep `end`, and becomes that of
-    `begin`. `pairs` and `stresses` are the parts and the active stresses, each with its cotangent.
+    `begin`. `pairs`, `histories` and `stresses` are the parts, the histories and the active stresses, each with its
+    cotangent.
     """
     substeps = run.setting.substeps
+    recall_each(histories, run, bars.q, bars.u, bars.v, crew)
     for step in range(end - 1, begin - 1, -1):
         here = 0 if reversed_ else step - begin
         after = 0 if reversed_ else here + 1
@@ -166,6 +176,7 @@ def reverse(
         if (step + 1) % substeps == 0 or step == end - 1:
             begin_control(drive, run, colours, control, crew)
         at = NodeStep(control, states[here, 0], states[here, 1], states[after, 1])
+        remember_each_vjp(histories, run, bars, at, states[after, 0], colours, crew)
         carry_each_vjp(moves, run, bars, step, crew)
         begin_vjp(conditions, run, bars, at, states[after, 0], reversed_, crew)
         barrier(run.arrivals, crew.n_threads)
@@ -183,3 +194,4 @@ def reverse(
             if crew.thread == 0:
                 activate_vjp(stresses, drive, levels_bar, run.fields, bars.fields, bars.steady, control)
             barrier(run.arrivals, crew.n_threads)
+    keep_each(histories, run, bars.q, bars.u, bars.v, crew)

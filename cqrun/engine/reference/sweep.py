@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cqrun.engine.arrays import get_columns
+from cqrun.engine.arrays import get_columns, load_F, store_F
 from cqrun.engine.reference.fields import put_linear
 from cqrun.engine.reference.setting import TILE, NodeBars, NodeRun
 from cqrun.engine.reference.shape import keep_force, place_stress
@@ -77,6 +77,8 @@ def press_unit(group: Group, means: Any, run: NodeRun, u: Array, v: Array, lo: i
             gather(v, stencils, value, moment_2, tile, end, setting.strides, dims)
         for i in range(tile, end, width):
             F = find_F(means, moment, run.q, i, i - tile, dims, factor)
+            if setting.histories:
+                store_F(run.q, i, F, dims)  # for the update after the nodes have moved
             Gt = scale(cofactor(F), 1.0 / det(F))
             C = zeros_like_rows(F)
             if setting.rates:
@@ -142,6 +144,9 @@ def press_unit_vjp(
             accumulate(bars.fields, VOLUME, i, inner(tau, H) * -1.0)
             P = mul(tau, Gt)
             F_bar = add(F_bar, scale(mul(Gt, mul_at(Q, P)), vol))
+            if setting.histories:
+                F_bar = add(F_bar, load_F(bars.q, i, dims))  # that of `remember_vjp`
+                store_F(bars.q, i, zeros_like_rows(F), dims)
             keep_force(bars.shape, run, scale(P, vol * -factor), i, i - tile, thread)
             if setting.rates:
                 rate_bar = mul(C_bar, Gt)

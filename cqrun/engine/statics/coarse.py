@@ -1,12 +1,15 @@
 """A coarse space for the preconditioner: slow modes, which block Jacobi leaves to hundreds of products.
 
 Quadratic splines nest: the spline of a node of a grid with twice the spacing, at the fine place 2 j + 1/2, is
-(1, 3, 3, 1) / 4 of those of the fine nodes 2 j - 1 .. 2 j + 2. With these weights as P, held nodes left out, the coarse
-stiffness is P^T K P, and the preconditioner adds P (P^T K P)^-1 P^T to the inverse of the diagonal blocks (two-level
-additive Schwarz; B. Smith, P. Bjorstad, W. Gropp, Domain Decomposition, 1996, chapter 1).
+(1, 3, 3, 1) / 4 of those of the fine nodes 2 j - 1 .. 2 j + 2. The coarse grid has four times the spacing, by twice
+these weights. (Twice the spacing takes as many products, and its direct solves cost more than them.) With the weights
+as P, held nodes left out, the coarse stiffness is P^T K P, and the preconditioner adds P (P^T K P)^-1 P^T to the
+inverse of the diagonal blocks (two-level additive Schwarz; B. Smith, P. Bjorstad, W. Gropp, Domain Decomposition, 1996,
+chapter 1).
 
-A particle moves 3^D coarse nodes, as it moves 3^D fine ones. So the coarse matrix is assembled from the particles'
-tangents at the cost of about a hundred products, and solved directly.
+A particle moves 3^D nodes of a grid of twice the spacing, as it moves 3^D fine ones. So the matrix of that grid is
+assembled from the particles' tangents at the cost of about a hundred products. The coarse one follows, and is solved
+directly.
 """
 
 from __future__ import annotations
@@ -61,7 +64,11 @@ class CoarseSpace:
 
     def __init__(self, run: NodeRun, patches: Patches, free: Array) -> None:
         self.run, self.dim = run, patches.f.shape[1]
-        self.P, self.first, self.odd, self.strides, self.n_coarse = _prolongation(run, patches, free)
+        twice, self.first, self.odd, self.strides, shapes = _prolongation(run, patches, free)
+        self.n_twice = twice.shape[1]
+        coarser, _ = _nested(shapes)
+        self.P, self.n_coarse = twice @ coarser, coarser.shape[1]
+        self.coarser = sparse.kron(coarser, sparse.eye_array(self.dim))
         self.free = free.astype(np.float64)
         self.used = np.zeros(0, np.int64)
         self.solver: Any = None
@@ -70,6 +77,11 @@ class CoarseSpace:
     def ready(self) -> bool:
         """Whether there is an inverse."""
         return self.solver is not None
+
+    @property
+    def size(self) -> int:
+        """Its size in memory [bytes]."""
+        return 12 * self.solver.nnz if self.ready else 0
 
     def prepare(self, A: Array, ghosts: Any, pulled: Sequence[Pulled], volumes: MeanVolumes | None = None) -> bool:
         """Assemble and factorise the coarse stiffness, and return whether it is positive definite.
@@ -137,9 +149,9 @@ class CoarseSpace:
     def _stiffness(self, A: Array, ghosts: Any, pulled: Sequence[Pulled]) -> Any:
         """Return the coarse stiffness (C D, C D) of particles, ghost penalty and forces on points; sparse."""
         d = self.dim
-        blocks = np.zeros((self.n_coarse, 5**d, d, d))
+        blocks = np.zeros((self.n_twice, 5**d, d, d))
         add_coarse(self.run, A, self.free, self.first, np.array(self.strides), self.odd, WEIGHTS, blocks)
-        K = self._matrix(blocks)
+        K = self.coarser.T @ self._matrix(blocks) @ self.coarser
         for ghost in ghosts:
             count = len(ghost.run)
             place = np.repeat(np.arange(count), 4), ghost.run.ravel()
@@ -151,8 +163,8 @@ class CoarseSpace:
         return sparse.csr_array(K)
 
     def _matrix(self, blocks: Array) -> Any:
-        """Return the coarse stiffness as a sparse matrix, from the blocks of each node and its neighbours."""
-        d, n = self.dim, self.n_coarse
+        """Return the stiffness for twice the spacing as a sparse matrix, from the blocks of nodes and neighbours."""
+        d, n = self.dim, self.n_twice
         offsets = np.stack(np.meshgrid(*[np.arange(-2, 3)] * d, indexing="ij"), -1).reshape(-1, d)
         steps = offsets @ np.array(self.strides[3 - d :])
         rows, column = np.repeat(np.arange(n), 5**d), (np.arange(n)[:, None] + steps).ravel()
@@ -190,40 +202,58 @@ def pulled_points(run: NodeRun, loads: Any, drive: Drive, push: Array, control: 
     return found
 
 
-def _prolongation(run: NodeRun, patches: Patches, free: Array) -> tuple[Any, Array, Array, tuple[int, int, int], int]:
-    """Return P (M, C), then of each column its first coarse node (n,) and whether its first fine node is odd (n, 3).
+Shape = tuple[int, ...]
+"""Numbers of nodes of a grid along its axes."""
 
-    The last two are the strides of coarse nodes, and their number C.
+
+def _nested(shapes: Sequence[Shape]) -> tuple[Any, list[Shape]]:
+    """Return the weights of the splines of grids, one after the other, in those of grids of twice the spacing.
+
+    Args:
+        shapes: numbers of nodes along each axis, of each grid.
+
+    Returns:
+        a sparse matrix with a row for each node and a column for each coarse node; and the shapes of the coarse grids.
+    """
+    rows, columns, weights, coarse_shapes, row, column = [], [], [], [], 0, 0
+    for shape in shapes:
+        coarse = tuple(n // 2 + 2 for n in shape)
+        index, count = np.indices(shape).reshape(len(shape), -1), int(np.prod(shape))
+        pairs = [((i // 2, 0.75), (i // 2 + np.where(i % 2, 1, -1), 0.25)) for i in index]
+        for which in np.ndindex(*(2,) * len(shape)):
+            chosen = [pairs[axis][k] for axis, k in enumerate(which)]
+            rows.append(row + np.arange(count))
+            columns.append(column + np.ravel_multi_index(tuple(c + 1 for c, _ in chosen), coarse))
+            weights.append(np.full(count, float(np.prod([w for _, w in chosen]))))
+        coarse_shapes.append(coarse)
+        row, column = row + count, column + int(np.prod(coarse))
+    entries = [np.concatenate(part) for part in (weights, rows, columns)]
+    return sparse.csr_array((entries[0], (entries[1], entries[2])), shape=(row, column)), coarse_shapes
+
+
+def _prolongation(run: NodeRun, patches: Patches, free: Array) -> tuple[Any, Array, Array, Shape, list[Shape]]:
+    """Return the weights of nodes that can move in the splines of twice the spacing (M, C), a sparse matrix.
+
+    Then of each column of particles its first node of that grid (n,), and whether its first fine node is odd (n, 3).
+    The last two are the strides of that grid's nodes, and its shape for each body.
     """
     d = patches.f.shape[1]
     box = tuple(int(b) for b in patches.box)
-    coarse_box = tuple(b // 2 + 2 for b in box)
-    inner = np.append(np.cumprod(coarse_box[:0:-1])[::-1], 1).astype(int)
+    inner = np.append(np.cumprod([b // 2 + 2 for b in box[:0:-1]])[::-1], 1).astype(int)
     strides = (0, *inner.tolist()) if d == 2 else tuple(inner.tolist())
-    rows, columns, weights, begin = [], [], [], 0
     first, odd = np.zeros(len(patches.first), np.int64), np.zeros((len(patches.first), 3), np.int64)
-    for body in range(len(patches.origin)):
-        low, high = int(patches.begin[body]), int(patches.begin[body + 1])
-        shape = ((high - low) // int(np.prod(box[1:])), *box[1:])
-        index = np.indices(shape).reshape(d, -1)
-        pairs = [((i // 2, 0.75), (i // 2 + np.where(i % 2, 1, -1), 0.25)) for i in index]
-        for which in np.ndindex(*(2,) * d):
-            chosen = [pairs[axis][k] for axis, k in enumerate(which)]
-            place = sum((c + 1) * inner[axis] for axis, (c, _) in enumerate(chosen))
-            rows.append(np.arange(low, high))
-            columns.append(begin + place)
-            weights.append(np.full(high - low, float(np.prod([w for _, w in chosen]))))
+    shapes, begin = [], 0
+    for low, high in zip(patches.begin[:-1].tolist(), patches.begin[1:].tolist(), strict=True):
+        shapes.append(((high - low) // int(np.prod(box[1:])), *box[1:]))
         own = np.flatnonzero((patches.first >= low) & (patches.first < high))
-        at = np.unravel_index(patches.first[own] - low, shape)
+        at = np.unravel_index(patches.first[own] - low, shapes[-1])
         odd[own, 3 - d :] = np.stack(at, axis=1) % 2
         first[own] = begin + sum((i // 2 + i % 2) * inner[axis] for axis, i in enumerate(at))
-        begin += (shape[0] // 2 + 2) * int(np.prod(coarse_box[1:]))
-    active = np.zeros(patches.n_nodes, bool)
-    active[run.nodes.active] = True
-    kept = (free & active)[np.concatenate(rows)]
-    entries = [np.concatenate(part)[kept] for part in (weights, rows, columns)]
-    P = sparse.csr_array((entries[0], (entries[1], entries[2])), shape=(patches.n_nodes, begin))
-    return P, first, odd, strides, begin  # type: ignore[return-value]
+        begin += (shapes[-1][0] // 2 + 2) * int(inner[0])
+    weights, coarse = _nested(shapes)
+    moved = np.zeros(patches.n_nodes, bool)
+    moved[run.nodes.active] = True
+    return sparse.diags_array((free & moved).astype(float)) @ weights, first, odd, strides, coarse
 
 
 WEIGHTS = np.array([

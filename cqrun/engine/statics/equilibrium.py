@@ -45,8 +45,8 @@ from cqrun.state import State
 TINY_STRAIN = 1e-4
 """Strain whose forces are the measure of the residual of a body without loads."""
 
-MANY = 60_000
-"""With more nodes the direct solve of the coarse space would take too long."""
+MANY = 200_000
+"""With more nodes the coarse space would take too much memory."""
 
 REFRESH = 200
 """Products after which the coarse space is made, or made anew: it is about as dear as they are."""
@@ -73,6 +73,9 @@ class Equilibrium:
     """
 
     def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0, slow: bool = False) -> None:
+        if model.layout.history:
+            names = ", ".join(field.name for field in model.layout.history)
+            raise ValueError(f"a material with a history ({names}) has no equilibrium of its own")
         alone = replace(model, surface=None, obstacles=())  # contact is not felt at rest
         self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
         self.control, self.run = control, self.rollout.bundle
@@ -92,6 +95,11 @@ class Equilibrium:
         self.volumes = MeanVolumes(self.rollout) if any(self.rollout.means) else None
         self.coarse: CoarseSpace | None = None
         self.since = REFRESH + 1 if slow else 0  # products since the coarse space was made; before, since the beginning
+
+    @property
+    def size(self) -> int:
+        """Its size in memory, roughly [bytes]."""
+        return 4 * self.A.nbytes + (self.coarse.size if self.coarse is not None else 0)
 
     # --- the system (`newton.System`) -----------------------------------------------------------------------------
 
@@ -130,8 +138,13 @@ class Equilibrium:
 
     # --- what a user asks ---------------------------------------------------------------------------------------------
 
-    def solve(self, u: Array | None = None, *, tolerance: float = 1e-8) -> Rest:
-        """Return where the model rests, from a first guess of the displacements (M, 4), or from the rest shape."""
+    def solve(self, u: Array | None = None, *, tolerance: float = 1e-8, judge: bool = False) -> Rest:
+        """Return where the model rests, from a first guess of the displacements (M, 4), or from the rest shape.
+
+        Args:
+            tolerance: net force divided by the loads.
+            judge: whether the smallest eigenvalue at the answer is found in any case, not only if it costs little.
+        """
         start = aligned((self.n_nodes, 4), self.run.force.dtype)
         if u is not None:
             start[...] = u
@@ -142,7 +155,7 @@ class Equilibrium:
         if change.any():
             load = max(load, float(np.linalg.norm(self.net(start))))
         rest = find_rest(self, start, load, tolerance)
-        return self._judged(rest) if rest.converged and self.coarse is not None else rest
+        return self._judged(rest) if rest.converged and (judge or self.coarse is not None) else rest
 
     def load(self) -> float:
         """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
@@ -278,7 +291,8 @@ class Equilibrium:
 
     def _solve(self, b: Array, tolerance: float) -> Solution:
         """Return the solution of the linear system at the state of `linearise`; a long search gets a coarse space."""
-        first = conjugate_gradients(self.product, b, self.precondition, tolerance, REFRESH)
+        fresh = self.coarse is not None and self.since == 0
+        first = conjugate_gradients(self.product, b, self.precondition, tolerance, MOST_PRODUCTS if fresh else REFRESH)
         if first.converged or first.negative:
             return first
         self._make_coarse()
@@ -305,7 +319,8 @@ class Equilibrium:
         self.linearise(rest.u)
         if not self._make_coarse():
             return replace(rest, negative=True)
-        assert self.coarse is not None
+        if self.coarse is None:
+            return rest
         smallest = self.coarse.smallest(np.linalg.inv(self.inverse), self.run.nodes.active)
         return replace(rest, smallest=smallest)
 

@@ -32,6 +32,13 @@ SHORTEST = 1e-6
 """Part of a step below which no step helps: rounding, or no equilibrium in this direction."""
 
 
+FLOOR = 1e-6
+"""Relative residual below which steps that no longer help have met rounding, and not a lack of equilibrium."""
+
+IN_VAIN = 3
+"""Steps in a row that do not halve the smallest residual so far, after which it is taken for rounding below FLOOR."""
+
+
 class System(Protocol):
     """Forces on nodes that can move."""
 
@@ -59,7 +66,7 @@ class Rest:
     Attributes:
         u: displacement of the nodes (M, 4) [m].
         residual: size of the net force, divided by that of the loads.
-        converged: whether the residual is below the tolerance.
+        converged: whether the residual is below the tolerance, or as small as rounding allows.
         steps, products: steps of Newton's method, and products with the stiffness matrix.
         negative: whether the stiffness matrix had a negative eigenvalue on the way to, or at, the answer.
         smallest: smallest eigenvalue of the preconditioned matrix that the last step saw; zero at a limit point.
@@ -86,7 +93,7 @@ def find_rest(system: System, u: Array, load: float, tolerance: float) -> Rest:
     r = system.net(u)
     size, eta = _size(r), LOOSEST
     steps = products = 0
-    negative, stuck, smallest = False, False, float("nan")
+    negative, stuck, smallest, best, in_vain = False, False, float("nan"), size, 0
     while size > tolerance * load and steps < MOST_STEPS and not stuck:
         system.linearise(u)
         eta = max(eta, min(LOOSEST, 0.3 * tolerance * load / size))
@@ -97,9 +104,13 @@ def find_rest(system: System, u: Array, load: float, tolerance: float) -> Rest:
         before = size
         u, r, size, stuck = _step(system, u, r, size, found.x)
         eta = min(LOOSEST, FORCING * (size / before) ** 2)
-    return Rest(
-        u, size / load if load > 0 else size, size <= tolerance * load, steps, products, negative, smallest, stuck
-    )
+        in_vain = 0 if size <= 0.5 * best else in_vain + 1
+        best = min(best, size)
+        if size <= FLOOR * load and in_vain == IN_VAIN:
+            break
+    rounded = size <= FLOOR * load and (stuck or in_vain >= IN_VAIN)
+    relative = size / load if load > 0 else size
+    return Rest(u, relative, size <= tolerance * load or rounded, steps, products, negative, smallest, stuck)
 
 
 def _step(system: System, u: Array, r: Array, size: float, p: Array) -> tuple[Array, Array, float, bool]:

@@ -20,6 +20,12 @@ from cqrun.engine.statics.newton import Rest
 from cqrun.errors import StopAsked
 from cqrun.plugin.contract import Array
 
+GRADIENT = 1e-8
+"""Relative residual of an adjoint's linear system, at most; exact gradients need exact equilibria, too."""
+
+KEPT = 2**28
+"""Bytes of equilibria that wait for their gradient; it is cheaper with their preconditioner."""
+
 HALVINGS = 6
 """Most halvings of the way to a point."""
 
@@ -87,6 +93,7 @@ class RestPath:
         tolerance: net force divided by the loads at which a point counts as found.
         apart: whether the points have nothing to do with each other: then a point starts from the rest shape if the net
             force is smaller there than at the last point. Otherwise a path stays on its branch.
+        judge: whether the smallest eigenvalue at every point is found in any case.
         near: equilibria of all points for other inputs, from which each point starts. Where that fails, it starts as
             without them.
 
@@ -99,14 +106,15 @@ class RestPath:
 
     def __init__(
         self, model: Model, inputs: Sequence[Inputs], *, threads: int = 1, tolerance: float = 1e-8, apart: bool = False,
-        near: Sequence[Found] = (),
+        judge: bool = False, near: Sequence[Found] = (),
     ) -> None:  # fmt: skip
         self.model = replace(model, n_controls=1, substeps=1)
         self.inputs = [replace(each, activation=each.activation[-1:]) for each in inputs]
         self.threads, self.tolerance, self.apart = threads, tolerance, apart
-        self.points: list[Point] = []
+        self.judge, self.points = judge, list[Point]()
         self.numbers: Array | None = None  # of the nodes in `near`, if the bodies have other shapes there
         self.near, self.slow = near, any(each.slow for each in near)
+        self.kept: dict[int, Equilibrium] = {}
         unloaded = self.equilibrium(_unloaded(self.inputs[0]))
         self.loose = unloaded.loose_bodies()
         self.rest_shape = np.zeros_like(unloaded.still)
@@ -124,6 +132,7 @@ class RestPath:
         observe: Callable[[int, Equilibrium, Point], None] | None = None,
         should_stop: Callable[[], bool] | None = None,
         known: Callable[[int], Point | None] | None = None,
+        keep: bool = False,
     ) -> RestRecords:
         """Find all points; stop after one that has no equilibrium, or when asked.
 
@@ -131,6 +140,7 @@ class RestPath:
             observe: called with (number, equilibrium, point) of every point.
             should_stop: called before every point; if it returns True, StopAsked is raised.
             known: returns a point that was found before, by its number, or None.
+            keep: whether `gradients` follows.
         """
         before, u = _unloaded(self.inputs[0]), self.rest_shape
         for number, inputs in enumerate(self.inputs):
@@ -148,6 +158,8 @@ class RestPath:
             self.rows.append(here.record(point.rest.u))
             for name, parts in here.held_by(point.rest.u).items():
                 self.held[name].append(np.concatenate(parts))
+            if keep and here.size + sum(each.size for each in self.kept.values()) <= KEPT:
+                self.kept[number] = here
             before, u = inputs, point.rest.u
         records = Records.from_rows(np.array(self.rows), here.rollout.model.layout.table)
         joined = RestRecords.joined(records, {name: np.array(rows) for name, rows in self.held.items()})
@@ -159,9 +171,9 @@ class RestPath:
         """Return a point from that of `near`, from the last one, which is given, or from the rest shape."""
         inputs = self.inputs[number]
         if self.near:
-            point = self._reach(here, self.near[number].inputs, inputs, self._near(number, here))
-            if point.rest.converged:
-                return point
+            rest = here.solve(self._near(number, here), tolerance=self.tolerance, judge=self.judge)
+            if rest.converged:
+                return Point(rest, 1.0, 0, rest.products)
         if self.apart and _net(here, self.rest_shape) < _net(here, u):
             before, u = _unloaded(self.inputs[0]), self.rest_shape
         return self._reach(here, before, inputs, u)
@@ -177,14 +189,14 @@ class RestPath:
 
     def _reach(self, here: Equilibrium, before: Inputs, inputs: Inputs, u: Array) -> Point:
         """Return a point reached from the last one."""
-        rest = here.solve(u, tolerance=self.tolerance)
+        rest = here.solve(u, tolerance=self.tolerance, judge=self.judge)
         products, covered, halvings, step = rest.products, 0.0, 0, 0.5
         while not rest.converged and halvings < HALVINGS:
             halvings += 1
             while covered < 1.0:
                 to = min(1.0, covered + step)
                 at = here if to == 1.0 else self.equilibrium(between(before, inputs, to))
-                trial = at.solve(u, tolerance=self.tolerance)
+                trial = at.solve(u, tolerance=self.tolerance, judge=self.judge)
                 products += trial.products
                 if not trial.converged:
                     rest = trial if to == 1.0 else rest
@@ -201,7 +213,10 @@ class RestPath:
         out = []
         for k, (point, inputs) in enumerate(zip(self.points, self.inputs, strict=True), start=1):
             of_point = {name: (rows[k, :dim], rows[k, dim:]) for name, rows in held.items() if rows[k].any()}
-            bar, _ = self.equilibrium(inputs).gradient(point.rest.u, record_bar=bars[k], held_bar=of_point)
+            here = self.kept.pop(k - 1, None) or self.equilibrium(inputs)
+            bar, _ = here.gradient(
+                point.rest.u, record_bar=bars[k], held_bar=of_point, tolerance=min(self.tolerance, GRADIENT)
+            )
             out.append(bar)
         return out
 
