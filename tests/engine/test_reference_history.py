@@ -66,6 +66,7 @@ def extra(dim):
 def relaxing(dim, *, viscous=True, averaged=False, make=held, **options):
     """Return a rich model of the reference frame with the term, and its inputs."""
     model, inputs, *more = make(dim, viscous=viscous, extra=extra(dim), **options)
+    inputs.shaped = True
     groups = (replace(model.groups[0], shear=(*SHEAR, MaterialTerm.shear_modulus)),)
     return replace(model, groups=groups, averaged=averaged), inputs, *more
 

@@ -15,6 +15,7 @@ from cqrun.engine.arrays import get_columns, load_F, store_F
 from cqrun.engine.model import Model
 from cqrun.engine.reference.fields import put_linear
 from cqrun.engine.reference.setting import TILE, NodeBars, NodeRun, NodeStep
+from cqrun.engine.reference.shape import place_history
 from cqrun.engine.setting import Crew, Group
 from cqrun.engine.transfer import gather, scatter_tile
 from cqrun.materials.history import update_histories, update_histories_vjp
@@ -195,6 +196,7 @@ def follow_unit_vjp(
             )
             store_F(bars.q, i, F_bar, dims)
             put_linear(value, moment, stencils, i, i - tile, scale(F_next_bar, factor), dims)
+        place_history(bars.shape, run, u_next, tile, end, thread)
         scatter_tile(bars.u, (value,), (moment,), stencils, tile, end, setting.strides, dims)
 
 

@@ -5,6 +5,7 @@ field is what the particle scatters, or the cotangent of what it gathers. So dT/
 fields that the adjoint has anyway:
 
     stress     u . (F_bar),   p . (-4/dx vol0 P),   and with rates v . (cotangent of F')
+    history    u' . (cotangent of F after the substep)
     forces     p . (f_p + push),   summed over a control step
     looks      u . (x_bar, F_bar),   v . (v_bar, cotangent of F')
     start      mass_bar, kept_bar . (m, kappa m),   (v_bar / m) . (m v, m C dx)
@@ -139,6 +140,13 @@ def add_hat_slopes(
             place[p, 2] += of_x * of_y * (high - low)
 
 
+@kernel
+def place_tile_history(shape: ShapeBars, run: NodeRun, u: Array, tile: int, end: int, thread: int) -> None:
+    """Add what the histories of a tile depend on by F after a substep; the tile has the field of its cotangent."""
+    value, moment, setting = run.tiles.value[thread], run.tiles.moment[thread], run.setting
+    gather_slopes(shape.place, u, 1, 0, value, moment, run.stencils, tile, end, setting.strides, setting.dims)
+
+
 # --- forces -----------------------------------------------------------------------------------------------------------
 
 
@@ -193,6 +201,7 @@ def place_tile_looks(
 
 
 keep_force, place_stress, place_hats = for_each(keep_one_force), for_each(place_tile_stress), for_each(place_one_hats)
+place_history = for_each(place_tile_history)
 place_pushes, place_pulls, place_looks = (
     for_each(place_tile_pushes), for_each(place_all_pulls), for_each(place_tile_looks),
 )  # fmt: skip
