@@ -120,6 +120,11 @@ def numbers(group: h5py.Group, name: str) -> h5py.Dataset:
     return data
 
 
+def checksum(frame: Array) -> int:
+    """Return the CRC-32 of a frame's type and numbers."""
+    return zlib.crc32(frame.tobytes(), zlib.crc32(frame.dtype.str.encode()))
+
+
 def require_stored_zeros(data: h5py.Dataset, first: int, frames: Array) -> None:
     """Refuse frames (T, ...) of a dataset, the first one's number is given, that are zero and are not stored as zeros.
 

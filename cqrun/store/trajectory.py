@@ -15,7 +15,6 @@ own HDF5.
 from __future__ import annotations
 
 import json
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +27,7 @@ from cqrun.disk import make_empty, sync_directory
 from cqrun.plugin.contract import Array
 from cqrun.store.atomic import disk_errors, make_directory, require_room
 from cqrun.store.frames import Frames, part_path
+from cqrun.store.hdf5 import checksum
 from cqrun.store.vtkhdf import add_vtk_view
 
 if TYPE_CHECKING:
@@ -232,7 +232,7 @@ def _pack(source: h5py.File, target: h5py.File, frames: int) -> None:
         sums = np.zeros(frames, np.uint32)
         for frame in range(frames):
             packed[frame] = values = data[frame]
-            sums[frame] = zlib.crc32(values.tobytes())
+            sums[frame] = checksum(values)
         target[f"checksums/{name}"] = sums
     if frames:
         add_vtk_view(target)
