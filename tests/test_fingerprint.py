@@ -60,8 +60,9 @@ def test_every_listed_source_exists():
 
 
 AFTERWARDS = {
-    "ablation", "api", "bench", "bodies", "compress", "excerpt", "export", "fleet", "kernels", "observables",
-    "reporter", "runs", "seeds", "selfcheck", "threads", "trajectories", "validate", "warmup",
+    "ablation", "api", "bench", "bodies", "compress", "excerpt", "export", "extrapolation", "fleet", "grids",
+    "kernels", "observables", "oscillation", "quantities", "reporter", "runs", "seeds", "selfcheck", "threads",
+    "trajectories", "validate", "warmup",
 }  # fmt: skip
 """Modules of jobs and of running that compute before a run, after it, or without one."""
 

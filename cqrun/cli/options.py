@@ -49,5 +49,5 @@ Jobs = Annotated[
 
 def with_grids(words: Sequence[str]) -> Iterator[str]:
     """Yield the words of a command line, with `auto` for an option `--resolution` that no number follows."""
-    for word, after in zip(words, [*words[1:], ""], strict=True):
+    for word, after in zip(words, [*words, ""][1:], strict=True):
         yield "--resolution=auto" if word == "--resolution" and not after[:1].isdigit() and after[:1] != "." else word

@@ -32,8 +32,8 @@ class World(Spec):
     size: list[Annotated[float, Field(gt=0)]] = vector("m", "Edge lengths; their number is the dimension of the world")
     dx: float = quantity("m", "Edge of a grid cell", gt=0)
     frame: Literal["updated", "reference"] = Field(
-        description="Frame of the engine: `reference` follows the rest shape, and its numbers do not depend on the "
-        "grid for elastic bodies that stay whole; `updated` is that of the papers, in which bodies may tear and merge",
+        description="Frame of the engine: `reference` follows the rest shape, without numerical damping or drift, for "
+        "elastic bodies that stay whole; `updated` is that of the papers, in which bodies may tear and merge",
         default="reference",
     )
     volume: Literal["auto", "local", "averaged"] = Field(

@@ -14,7 +14,7 @@ import numpy as np
 from cqrun.disk import require_ordinary
 from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
-from cqrun.store.hdf5 import numbers, require_sound_heaps, text
+from cqrun.store.hdf5 import checksum, numbers, require_sound_heaps, require_stored_zeros, text
 
 if TYPE_CHECKING:
     import h5py
@@ -81,12 +81,25 @@ class Frames:
     def read(self, field: str, frame: int) -> Array:
         """Return a field of every particle in one frame (N, ...); raise a UsageError if it cannot be read."""
         with self._reading():
-            return np.asarray(self._field(field)[frame])
+            return self._sound(field, frame, np.asarray(self._field(field)[frame])[None])[0]
 
     def read_all(self, field: str) -> Array:
         """Return a field in every frame (T, N, ...); raise a UsageError if it cannot be read."""
         with self._reading():
-            return np.asarray(self._field(field)[: len(self)])
+            return self._sound(field, 0, np.asarray(self._field(field)[: len(self)]))
+
+    def _sound(self, field: str, first: int, frames: Array) -> Array:
+        """Return frames that were read (T, N, ...), from number `first` on, if they are those that were written."""
+        if "checksums" not in self._file:  # of an earlier version, or still being written
+            require_stored_zeros(self._field(field), first, frames)
+            return frames
+        sums = numbers(self._file, f"checksums/{field}")[:]
+        if len(sums) != len(self):
+            raise ValueError(f"it announces {len(self)} frames of {len(sums)}")
+        for number, frame in enumerate(frames, first):
+            if checksum(frame) != sums[number]:
+                raise ValueError(f"frame {number} of '{field}' is not what was written")
+        return frames
 
     def _field(self, name: str) -> h5py.Dataset:
         """Return the dataset of a field, its size checked once."""

@@ -6,9 +6,13 @@ import math
 import os
 import re
 import struct
+import zlib
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from cqrun.plugin.contract import Array
 from cqrun.units import format_bytes
@@ -114,6 +118,26 @@ def numbers(group: h5py.Group, name: str) -> h5py.Dataset:
     if claimed > held * (EXPANSION if data.chunks else 1):
         raise ValueError(f"'{name}' claims {format_bytes(claimed)}, and the file holds {format_bytes(held)} of it")
     return data
+
+
+def checksum(frame: Array) -> int:
+    """Return the CRC-32 of a frame's type and numbers."""
+    return zlib.crc32(frame.tobytes(), zlib.crc32(frame.dtype.str.encode()))
+
+
+def require_stored_zeros(data: h5py.Dataset, first: int, frames: Array) -> None:
+    """Refuse frames (T, ...) of a dataset, the first one's number is given, that are zero and are not stored as zeros.
+
+    HDF5 reads zeros for chunks that a damaged index has lost; the index has no checksum, only the chunks have one.
+    """
+    if data.chunks is None:
+        return
+    steps = (range(0, length, step) for length, step in zip(frames.shape[1:], data.chunks[1:], strict=True))
+    within = [(begin, tuple(map(slice, begin, np.add(begin, data.chunks[1:])))) for begin in product(*steps)]
+    for number, frame in enumerate(frames):
+        for begin, part in within:
+            if not frame[part].any() and any(zlib.decompress(data.id.read_direct_chunk((first + number, *begin))[1])):
+                raise ValueError(f"the index of '{data.name}' is damaged")
 
 
 def blocks(data: h5py.Dataset) -> Iterator[tuple[slice, Array]]:

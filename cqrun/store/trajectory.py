@@ -3,6 +3,7 @@
     /time (T) f8   /step (T) i8   /frames () i8: number of written frames
     /particles/x (T, N, D) f8   v (T, N, D) f4   further fields (T, N, ...)   body (N) i4
     /particles attributes: names of the bodies, and first and last particle of each       / attributes: provenance
+    /checksums/x, v, ... (T) u4: CRC-32 of each frame of a field; without them a damaged index reads as zeros
     /VTKHDF: the same data in ParaView's format, as virtual datasets without a copy (vtkhdf.py)
 
 While a trajectory is written, its name is `<name>.part`. It has contiguous datasets of full size, which are made and
@@ -26,6 +27,7 @@ from cqrun.disk import make_empty, sync_directory
 from cqrun.plugin.contract import Array
 from cqrun.store.atomic import disk_errors, make_directory, require_room
 from cqrun.store.frames import Frames, part_path
+from cqrun.store.hdf5 import checksum
 from cqrun.store.vtkhdf import add_vtk_view
 
 if TYPE_CHECKING:
@@ -227,8 +229,11 @@ def _pack(source: h5py.File, target: h5py.File, frames: int) -> None:
             compression_opts=1 if frames else None,
             shuffle=bool(frames),
         )
+        sums = np.zeros(frames, np.uint32)
         for frame in range(frames):
-            packed[frame] = data[frame]
+            packed[frame] = values = data[frame]
+            sums[frame] = checksum(values)
+        target[f"checksums/{name}"] = sums
     if frames:
         add_vtk_view(target)
 

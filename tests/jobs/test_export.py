@@ -182,7 +182,7 @@ def test_what_is_told_of_a_replay_is_of_the_body_that_acts(run, tmp_path):
     inputs = built.assembly.inputs(values)
     m, x = inputs.fields.mass, inputs.state.x
     assert m.sum() != pytest.approx(built.assembly.inputs({}).fields.mass.sum(), rel=1e-3)
-    (told,) = (line for line in listener.said if line.startswith("finger: "))
+    (told,) = (line for line in listener.said if line.startswith("finger: ") and "; mass " in line)
     assert f"mass {number(m.sum())} kg/m; from {point(x.min(axis=0))} to {point(x.max(axis=0))} m" in told
     first, *_, last = csv.DictReader((again / "observables.csv").read_text().splitlines())
     assert [float(first[f"finger.{axis}"]) for axis in "xy"] == pytest.approx(m @ x / m.sum(), rel=1e-12)
