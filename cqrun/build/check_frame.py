@@ -6,22 +6,22 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from cqrun.build.alignment import HOLDS, grid_offset
 from cqrun.build.contact import unknown_surfaces
 from cqrun.build.history import remembering
 from cqrun.build.particles import Particles
 from cqrun.build.volumes import volume_problems
 from cqrun.engine.model import ConditionModel
-from cqrun.engine.setting import MARGIN, grid_shape
+from cqrun.engine.reference.held import held_nodes
+from cqrun.engine.reference.patches import make_patches
 from cqrun.errors import Problem
+from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
 PER_AXIS = 2
 """Particles in a cell along each axis, at least: with one, nodes can move in ways that no particle feels."""
 
 ROUNDING = 1e-6
-
-HOLDS = ("sticky", "slip")
-"""The boundaries that hold a body's own nodes."""
 
 WAY_OUT = "use `world.frame: updated`"
 
@@ -81,27 +81,30 @@ def touched(scene: Scene) -> Iterator[tuple[str, str]]:
 
 def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[tuple[str, str]]:
     """Yield clamps that hold no particle: a body that reaches them later would not feel them."""
-    rest = particles.x
+    reached = _reached_nodes(scene, particles)
     for name, chosen in scene.boundaries.items():
         planes = [plane for plane in conditions if plane.name == name]
-        if chosen.name in HOLDS and not any(_near(scene, plane, rest) for plane in planes):
+        if chosen.name in HOLDS and not held_nodes(planes, reached, np.array(scene.world.size)).bits.any():
             path = f"boundaries.{name}.{chosen.name}"
             yield (
                 path,
                 (
                     "holds no particle at rest, and in the reference frame it holds only what it holds at rest: "
-                    f"move it onto the body, make it `friction` or `separate`, which bodies touch, or {WAY_OUT}"
+                    f"move it onto the body, make it thicker than a cell of {scene.world.dx:g} m, make it `friction` "
+                    f"or `separate`, which bodies touch, or {WAY_OUT}"
                 ),
             )
 
 
-def _near(scene: Scene, plane: ConditionModel, x: np.ndarray) -> bool:
-    """Return whether a node of a plane moves a particle."""
-    shape = grid_shape(np.array(scene.world.size), scene.world.dx)
-    held = plane.nodes.reshape(shape)
-    base = np.floor(x / scene.world.dx + MARGIN - 0.5).astype(int)
-    corners = np.stack(np.meshgrid(*[np.arange(3)] * x.shape[1], indexing="ij"), -1).reshape(-1, x.shape[1])
-    return any(bool(held[tuple((base + corner).T)].any()) for corner in corners)
+def _reached_nodes(scene: Scene, particles: Particles) -> Array:
+    """Return the positions of all nodes that particles reach (M, D) [m]."""
+    dx = scene.world.dx
+    patches = make_patches(particles.layout, particles.x, dx, grid_offset(scene, particles))
+    reached = np.zeros(patches.n_nodes, bool)
+    steps = np.stack(np.meshgrid(*[np.arange(3)] * scene.dim, indexing="ij"), -1).reshape(-1, scene.dim)
+    for step in steps @ np.array(patches.strides[3 - scene.dim :]):
+        reached[patches.first + step] = True
+    return patches.positions(dx)[reached]
 
 
 def _thin(scene: Scene, particles: Particles) -> Iterator[tuple[str, str]]:

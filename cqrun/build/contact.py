@@ -14,6 +14,7 @@ import numpy as np
 
 from cqrun.boundaries.condition import BoundaryCondition
 from cqrun.boundaries.solid import PLANE, Solid, make_solids, signed_distance
+from cqrun.build.alignment import grid_offset
 from cqrun.build.assembly import Assembly
 from cqrun.build.limits import Limit, contact_limit
 from cqrun.build.particles import Particles
@@ -201,8 +202,10 @@ def _fastest(particles: Particles, assembly: Assembly, body: str, density: Array
     surface, part, k = surface_of(assembly.scene, particles), particles.of(body), particles.names.index(body)
     own = slice(int(surface.begin[k]), int(surface.begin[k + 1]))
     stiffness, impedance = (a[own] for a in _constants(particles, assembly, surface, dx))
+    offset = grid_offset(assembly.scene, particles)
+    assert offset is not None  # contact belongs to the reference frame
     square = contact_square(
         Layout(assembly.scene.dim, (part.stop - part.start,)), particles.x[part], density * particles.volume[part],
-        surface.particle[own] - part.start, surface.x[own], stiffness, dx,
+        surface.particle[own] - part.start, surface.x[own], stiffness, dx, offset[[k]],
     )  # fmt: skip
     return square, float((impedance / stiffness).max())

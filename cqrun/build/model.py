@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.build.actuation import Actuation
+from cqrun.build.alignment import alignment_warnings, grid_offset
 from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_frame import frame_problems
@@ -107,7 +108,8 @@ def build(scene: Scene) -> Built:
         raise SceneError(problems)
     surface, obstacles, meeting, conditions = contact_parts(scene, particles, assembly, conditions)
     rasters = {name: rasterised(body, scene.world.dx) for name, body in scene.bodies.items()}
-    warnings += grid_warnings(scene, particles, conditions, rasters)
+    warnings += [*grid_warnings(scene, particles, conditions, rasters), *alignment_warnings(scene, particles)]
+    offset = grid_offset(scene, particles)
     model = Model(
         size=np.array(scene.world.size),
         dx=scene.world.dx,
@@ -128,7 +130,8 @@ def build(scene: Scene) -> Built:
         surface=surface,
         obstacles=obstacles,
         meeting=meeting,
-        n_nodes=count_nodes(particles.layout, particles.x, scene.world.dx) if scene.world.frame == "reference" else 0,
+        offset=offset,
+        n_nodes=0 if offset is None else count_nodes(particles.layout, particles.x, scene.world.dx, offset),
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings), rasters)
 
@@ -205,8 +208,7 @@ def _conditions(scene: Scene) -> tuple[ConditionModel, ...]:
     for name, chosen in scene.boundaries.items():
         spec: Any = boundary(scene, name)
         planes = conditions_of(name, spec, np.array(scene.world.size), scene.world.dx)
-        touched = scene.world.frame == "reference" and spec.is_obstacle
-        if not touched and not any(plane.nodes.any() for plane in planes):
+        if scene.world.frame != "reference" and not any(plane.nodes.any() for plane in planes):
             path = f"boundaries.{name}.{chosen.name}.region"
             message = f"holds no grid node: it is thinner than a cell of {scene.world.dx:g} m, or outside the world"
             raise SceneError([Problem(scene.where(path), path, message)])

@@ -95,6 +95,7 @@ class Model:
     frame: str = "updated"  # of the engine (`frames.py`)
     n_nodes: int = 0  # of all bodies, in the reference frame
     averaged: bool = False  # whether volumes are means over the corners of cells, in the reference frame
+    offset: Array | None = None  # of each body's grid from that of the world (B, D) [m], in the reference frame
     settled: bool = False  # whether the motion starts at equilibrium
     surface: SurfaceModel | None = None  # of the bodies, in the reference frame
     obstacles: tuple[ObstacleModel, ...] = ()  # in the reference frame

@@ -162,15 +162,16 @@ def growth_of(points: Points) -> float:
 
 
 def contact_square(
-    layout: Layout, X: Array, mass: Array, particle: Array, x: Array, stiffness: Array, dx: float
+    layout: Layout, X: Array, mass: Array, particle: Array, x: Array, stiffness: Array, dx: float, offset: Array
 ) -> float:
     """Return the largest squared frequency that nodes have on the springs of their points alone [1/s^2].
 
     Args:
         layout: of the particles at rest at X (N, D) [m], with their masses (N,) [kg].
         particle, x, stiffness: of the points (S,), as in `SurfaceModel`.
+        offset: of each body's grid from that of the world (B, D) [m].
     """
-    patches = make_patches(layout, X, dx)
+    patches = make_patches(layout, X, dx, offset)
     columns, node_mass = patches.layout.columns(), np.zeros(patches.n_nodes)
     for begin in range(0, len(X), CHUNK):
         node, weight = stencil_weights(patches, columns[begin : begin + CHUNK])

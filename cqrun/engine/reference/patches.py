@@ -1,8 +1,9 @@
 """The nodes of each body in the reference frame, and the order of its particles, which never change.
 
 Each body has nodes of its own, those of the rest grid that its stencils reach: bodies do not feel each other through
-the grid. All bodies' nodes lie in one array, with the same strides. A body's nodes fill a box as deep and wide as the
-largest of any body, so that an index needs no table; boxes follow each other.
+the grid. So the grid of each body may be shifted by less than a cell (`Model.offset`). All bodies' nodes lie in one
+array, with the same strides. A body's nodes fill a box as deep and wide as the largest of any body, so that an index
+needs no table; boxes follow each other.
 
 Particles are sorted once, by colour and block as in `blocks.py`. Consecutive blocks of a colour form units of at least
 `UNIT` particles, each padded to whole lanes. Units of one colour share no node, so threads can take them in any order.
@@ -71,6 +72,7 @@ class Patches(NamedTuple):
     begin: Array
     units: Array
     colours: Array
+    offset: Array  # (B, D) of each body's grid from that of the world [m]
 
     @property
     def n_nodes(self) -> int:
@@ -88,13 +90,13 @@ class Patches(NamedTuple):
             shape = (int(self.begin[body + 1] - self.begin[body]) // int(np.prod(self.box[1:])), *self.box[1:])
             axes = [np.arange(count) + first - MARGIN for count, first in zip(shape, origin, strict=True)]
             grid = np.meshgrid(*axes, indexing="ij")
-            pieces.append(np.stack(grid, axis=-1).reshape(-1, len(origin)) * dx)
+            pieces.append(np.stack(grid, axis=-1).reshape(-1, len(origin)) * dx + self.offset[body])
         return np.concatenate(pieces)
 
 
-def count_nodes(layout: Layout, x: Array, dx: float) -> int:
-    """Return the number of nodes of all bodies at rest at x (N, D) [m], in user order."""
-    _, extent = _boxes(layout, np.floor(x / dx + MARGIN - 0.5).astype(np.int64))
+def count_nodes(layout: Layout, x: Array, dx: float, offset: Array | None = None) -> int:
+    """Return the number of nodes of all bodies at rest at x (N, D) [m], in user order; arguments as `make_patches`."""
+    _, extent = _boxes(layout, np.floor(_in_cells(layout, x, dx, offset) - 0.5).astype(np.int64))
     return int(extent[:, 0].sum() * np.prod(extent.max(axis=0)[1:]))
 
 
@@ -105,10 +107,21 @@ def _boxes(layout: Layout, base: Array) -> tuple[Array, Array]:
     return origin, np.array([base[part].max(axis=0) for part in parts]) - origin + REACH
 
 
-def make_patches(layout: Layout, x: Array, dx: float) -> Patches:
-    """Return the nodes and the order of particles at rest at x (N, D) [m], in user order."""
+def _in_cells(layout: Layout, x: Array, dx: float, offset: Array | None) -> Array:
+    """Return positions (N, D) in cells of the grids of their bodies."""
+    own = 0.0 if offset is None else np.repeat(offset, layout.counts, axis=0)
+    return (x - own) / dx + MARGIN
+
+
+def make_patches(layout: Layout, x: Array, dx: float, offset: Array | None = None) -> Patches:
+    """Return the nodes and the order of particles at rest.
+
+    Args:
+        x: positions (N, D) [m], in user order.
+        offset: of each body's grid from that of the world (B, D) [m]; 0 if absent.
+    """
     dim = layout.dim
-    cells = x / dx + MARGIN
+    cells = _in_cells(layout, x, dx, offset)
     base = np.floor(cells - 0.5).astype(np.int64)
     parts = layout.slices()
     origin, extent = _boxes(layout, base)
@@ -137,7 +150,7 @@ def make_patches(layout: Layout, x: Array, dx: float) -> Patches:
     f = cells[sources] - base[sources]
     return Patches(
         sorted_layout, first, f, strides, box, origin, begin, np.array(units, np.int64),  # type: ignore[arg-type]
-        np.array(colours, np.int64),
+        np.array(colours, np.int64), np.zeros(origin.shape) if offset is None else offset,
     )  # fmt: skip
 
 

@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 from cqrun.boundaries.condition import NodeNormals
 from cqrun.engine.model import Model
 from cqrun.engine.reference.ghost import Runs, find_runs
+from cqrun.engine.reference.held import Held, held_nodes
 from cqrun.engine.reference.patches import Patches, make_patches
 from cqrun.engine.reference.setting import Points
-from cqrun.engine.setting import MARGIN
 from cqrun.engine.transfer import Stencils, gather, gather_slopes, scatter_tile
 from cqrun.numerics.compile import kernel
 from cqrun.numerics.packed import aligned, pack
@@ -33,7 +33,6 @@ class RestGeometry:
         stencils: the stencils of all columns.
         rest: rest positions of all columns, packed (D, n) [m].
         kept: what is made when it is first needed.
-        world: number of each node in the world's grid (M,); nodes beyond it have that of its nearest node.
         dx: spacing of the nodes [m].
     """
 
@@ -41,7 +40,6 @@ class RestGeometry:
     patches: Patches
     stencils: Stencils
     rest: Array
-    world: Array
     dx: float
     kept: dict[str, Any] = field(default_factory=dict)
 
@@ -102,14 +100,22 @@ class RestGeometry:
         """The stencils in float64."""
         return self.stencils if self.stencils.f.dtype == np.float64 else _stencils(self.patches, np.float64)
 
+    def held(self, model: Model) -> Held:
+        """Return which nodes the boundary conditions of a model hold."""
+        known = self.kept.get("held")
+        if known is None or known[0] is not model.conditions:
+            found = held_nodes(model.conditions, self.patches.positions(self.dx), model.size)
+            known = self.kept["held"] = model.conditions, found
+        held: Held = known[1]
+        return held
+
     def conditions(self, model: Model, coefficients: Array) -> tuple[Any, ...]:
         """Return the kernels' views of the boundary conditions on these nodes."""
         views = []
         for k, condition in enumerate(model.conditions):
             view = condition.kernel(coefficients[k])
             if isinstance(view.normal, NodeNormals):
-                table = np.ascontiguousarray(view.normal.table[self.world])
-                view = view._replace(normal=NodeNormals(table, view.normal.dims))
+                view = view._replace(normal=NodeNormals(self.held(model).normals[k], view.normal.dims))
             views.append(view)
         return tuple(views)
 
@@ -164,7 +170,7 @@ def make_points(columns: Array, node: Array, weight: Array) -> Points:
 
 def rest_geometry(model: Model, x: Array) -> RestGeometry:
     """Return the rest state of a model for rest positions x (N, D) [m] in user order."""
-    kind = f"reference {model.dx} {model.real} {model.size}"
+    kind = f"reference {model.dx} {model.real} {model.size} {model.offset}"
     known = model.at_rest.get(kind)
     if known is None or not np.array_equal(known.x, x):
         known = model.at_rest[kind] = _make(model, x)
@@ -172,12 +178,9 @@ def rest_geometry(model: Model, x: Array) -> RestGeometry:
 
 
 def _make(model: Model, x: Array) -> RestGeometry:
-    patches = make_patches(model.layout, x, model.dx)
+    patches = make_patches(model.layout, x, model.dx, model.offset)
     rest = pack(x[patches.layout.source].T, model.real)
-    shape = np.array(model.grid_shape)
-    place = np.clip(np.rint(patches.positions(model.dx) / model.dx).astype(int) + MARGIN, 0, shape - 1)
-    stencils, world = _stencils(patches, model.real), np.ravel_multi_index(place.T, shape)
-    return RestGeometry(x.copy(), patches, stencils, rest, world, model.dx)
+    return RestGeometry(x.copy(), patches, _stencils(patches, model.real), rest, model.dx)
 
 
 def _stencils(patches: Patches, real: Any) -> Stencils:
@@ -193,7 +196,7 @@ def nodes_before(model: Model, x_before: Array, patches: Patches) -> Array:
 
     A node that no particle reached has the number of the nearest node of its body that one did.
     """
-    before = make_patches(model.layout, x_before, model.dx)
+    before = make_patches(model.layout, x_before, model.dx, model.offset)
     node, weight = stencil_weights(before, before.layout.columns())
     reached = np.unique(node[weight > 0.0])
     X, X_before = patches.positions(model.dx), before.positions(model.dx)[reached]

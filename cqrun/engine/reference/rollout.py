@@ -104,7 +104,7 @@ class ReferenceRollout(Rollout):
         model, patches, real = self.model, self.rest.patches, self.model.real
         m, kappa = self.inputs.fields.mass, np.exp(-self.inputs.fields.damping * model.dt)
         mass, kept = self.rest.to_nodes(np.stack([m, kappa * m], axis=1)).T
-        bits = model.condition_bits()[self.rest.world] * (mass > 0)
+        bits = self.rest.held(model).bits * (mass > 0)
         nodes = Nodes(mass.astype(real), kept.astype(real), bits, np.flatnonzero(mass > 0))
         threads, n_nodes = self.threads, patches.n_nodes
         rates = any(needs_rate(type(term)) for group in self.groups for term in group.terms)
