@@ -9,17 +9,18 @@ fits only if their distance is a multiple of the spacing; else, and in the updat
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from cqrun.boundaries.condition import FACES, BoundaryCondition
+from cqrun.boundaries.condition import FACES
 from cqrun.build.particles import Particles
-from cqrun.build.regions import boundary
+from cqrun.build.regions import resolved
 from cqrun.errors import Problem
 from cqrun.geometry.box import Box
+from cqrun.geometry.combinations import RegionUnion
 from cqrun.geometry.half_space import HalfSpace
-from cqrun.geometry.union import Union
+from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
@@ -65,7 +66,7 @@ def held_faces(scene: Scene, particles: Particles, body: str) -> list[HeldFace]:
     """Return the flat faces that end within a body, at rest, in the order of the boundaries."""
     x, spacing, faces = particles.x[particles.of(body)], particles.spacing[body], []
     for name, chosen in scene.boundaries.items():
-        for lower, upper in _boxes(scene, boundary(scene, name)) if chosen.name in HOLDS else ():
+        for lower, upper in _boxes(scene, chosen.value) if chosen.name in HOLDS else ():
             near = (x >= lower - spacing) & (x <= upper + spacing)
             for axis in range(scene.dim):
                 beside = x[np.delete(near, axis, axis=1).all(axis=1), axis]
@@ -83,10 +84,10 @@ def _ends_within(x: Array, at: float, side: int, spacing: float) -> bool:
     return bool(np.isfinite(at) and len(x) and ahead.max() > 0.25 * spacing and ahead.min() < spacing)
 
 
-def _boxes(scene: Scene, spec: BoundaryCondition) -> Iterator[tuple[Array, Array]]:
+def _boxes(scene: Scene, spec: Any) -> Iterator[tuple[Array, Array]]:
     """Yield the corners of the axis-aligned boxes of which a boundary consists; half-spaces have infinite ones."""
     if spec.region is not None:
-        yield from _boxes_of(spec.region.value)
+        yield from _boxes_of(scene, spec.region)
         return
     size = np.array(scene.world.size)
     for face in FACES[: 2 * scene.dim] if spec.face == "all" else (str(spec.face),):
@@ -98,14 +99,13 @@ def _boxes(scene: Scene, spec: BoundaryCondition) -> Iterator[tuple[Array, Array
         yield lower, upper
 
 
-def _boxes_of(region: object) -> Iterator[tuple[Array, Array]]:
+def _boxes_of(scene: Scene, chosen: Chosen[Any]) -> Iterator[tuple[Array, Array]]:
+    region = resolved(scene, chosen).value
     if isinstance(region, Box) or (isinstance(region, HalfSpace) and np.count_nonzero(region.normal) == 1):
         yield region.bounds()
-    elif isinstance(region, Union):
-        origin = np.zeros(1) if region.offset is None else np.array(region.offset)
+    elif isinstance(region, RegionUnion):
         for part in region.shapes:
-            for lower, upper in _boxes_of(part.value):
-                yield region.scale * lower + origin, region.scale * upper + origin
+            yield from _boxes_of(scene, part)
 
 
 def alignment_warnings(scene: Scene, particles: Particles) -> Iterator[Problem]:

@@ -84,7 +84,7 @@ def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionMod
     reached = _reached_nodes(scene, particles)
     for name, chosen in scene.boundaries.items():
         planes = [plane for plane in conditions if plane.name == name]
-        if chosen.name in HOLDS and not held_nodes(planes, reached, np.array(scene.world.size)).bits.any():
+        if chosen.name in HOLDS and not held_nodes(planes, reached).bits.any():
             path = f"boundaries.{name}.{chosen.name}"
             yield (
                 path,

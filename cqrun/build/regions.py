@@ -120,9 +120,9 @@ def boundary(scene: Scene, name: str) -> BoundaryCondition:
     spec: BoundaryCondition = scene.boundaries[name].value  # type: ignore[assignment]  # by its kind
     region: Chosen[Any] | None = spec.region
     if region is not None and not isinstance(region.value, Shape):
-        resolved = _resolved(scene, region)
-        inner: Any = resolved.value if isinstance(resolved.value, Shape) else _NodeRegion(scene, resolved.value)
-        spec = spec.model_copy(update={"region": Chosen(resolved.name, inner)})
+        found = resolved(scene, region)
+        inner: Any = found.value if isinstance(found.value, Shape) else _NodeRegion(scene, found.value)
+        spec = spec.model_copy(update={"region": Chosen(found.name, inner)})
     touched = scene.world.frame == "reference" and spec.is_obstacle
     if spec.lacks_normal or (getattr(spec, "only_touched", False) and not touched):
         path = f"boundaries.{name}.{spec.name}"
@@ -130,7 +130,7 @@ def boundary(scene: Scene, name: str) -> BoundaryCondition:
     return spec
 
 
-def _resolved(scene: Scene, region: Chosen[Region]) -> Chosen[Region]:
+def resolved(scene: Scene, region: Chosen[Region]) -> Chosen[Region]:
     """Return the region itself in place of its name, so that a named terrain has normals too."""
     for _ in scene.regions:  # circular names are refused elsewhere
         if isinstance(region.value, Named) and region.value.region in scene.regions:

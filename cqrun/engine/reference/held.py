@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -23,20 +22,12 @@ class Held(NamedTuple):
     normals: dict[int, Array]
 
 
-def held_nodes(conditions: Sequence[ConditionModel], X: Array, size: Array) -> Held:
-    """Return which nodes the conditions hold; obstacles hold none.
-
-    Args:
-        X: positions of the nodes at rest (M, D) [m].
-        size: of the world (D,) [m].
-    """
+def held_nodes(conditions: Sequence[ConditionModel], X: Array) -> Held:
+    """Return which nodes at rest at X (M, D) [m] the conditions hold."""
     bits, normals = np.zeros(len(X), np.int64), {}
-    for _, planes in groupby(enumerate(conditions), key=lambda item: item[1].name):
-        numbers, own = zip(*planes, strict=True)
-        if own[0].spec.is_obstacle:
-            continue
-        for k, (inside, normal) in zip(numbers, own[0].spec.places(X, size), strict=True):
-            bits |= inside.astype(np.int64) << k
-            if not isinstance(normal, tuple):
-                normals[k] = np.ascontiguousarray(normal)
+    for k, condition in enumerate(conditions):
+        inside, normal = condition.at(X)
+        bits |= inside.astype(np.int64) << k
+        if not isinstance(normal, tuple):
+            normals[k] = np.ascontiguousarray(normal)
     return Held(bits, normals)
