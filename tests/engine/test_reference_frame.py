@@ -258,9 +258,10 @@ def test_a_bar_that_turns_keeps_its_length():
     np.testing.assert_allclose(np.array(length) / length[0], stretch, rtol=3e-3)
 
 
-def test_energy_does_not_drift():
+@pytest.mark.parametrize("dim", [2, 3])
+def test_energy_does_not_drift(dim):
     """Energy of a symplectic step, with the velocity at the time of the displacement, in a lively motion."""
-    model, inputs = free_block(2, turn=1.0, seconds=1.0, controls=40)
+    model, inputs = free_block(dim, turn=1.0, seconds=1.0, controls=40)
     inputs.state.v[:, 0] += 2.0 * (inputs.state.x[:, 0] - inputs.state.x[:, 0].mean())
     inputs.state.C[:, 0, 0] += 2.0
     rollout = make_rollout(model, inputs)
@@ -275,7 +276,7 @@ def test_energy_does_not_drift():
         W = mu * ((values - 1) ** 2).sum(axis=1) + lam / 2 * (J - 1) ** 2
         difference = np.einsum("k,rkd->rd", THIRD, u[rollout.runs.run])
         penalty = 0.5 * rollout.ghosts[0].scale @ (difference**2).sum(axis=1)
-        totals.append(0.5 * (m * v**2).sum() + 0.05**2 * W.sum() + penalty)
+        totals.append(0.5 * (m * v**2).sum() + 0.05**dim * W.sum() + penalty)
     assert np.ptp(totals) < 1e-4 * np.mean(totals)
     assert abs(np.mean(totals[20:]) / np.mean(totals[:20]) - 1) < 1e-5
 
