@@ -24,10 +24,10 @@ def test_the_gradient_by_rest_positions_is_that_of_differences(dim, averaged, rn
     change, losses = 0.3 * DX * rng.normal(size=inputs.state.x.shape), []
     for k in (-2, -1, 1, 2):
         there = copy.deepcopy(inputs)
-        there.state.x += k * 1e-4 * change
+        there.state.x += k * 1e-5 * change  # larger steps reach kinks of the ghost penalty and of hats
         moved = Equilibrium(model, there)
         losses.append(loss_of(moved, moved.solve(rest.u, tolerance=1e-13).u)[0])
-    difference = (losses[0] - 8 * losses[1] + 8 * losses[2] - losses[3]) / 12e-4
+    difference = (losses[0] - 8 * losses[1] + 8 * losses[2] - losses[3]) / 12e-5
     assert abs(difference) > 0
     assert (gradient.state.x * change).sum() == pytest.approx(difference, rel=1e-7)
 
