@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from cqrun.build.volumes import volume_problems
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.setting import MARGIN, grid_shape
 from cqrun.errors import Problem
+from cqrun.explain import listed
 from cqrun.scene.schema import Scene
 
 PER_AXIS = 2
@@ -50,8 +52,21 @@ def _elsewhere(scene: Scene) -> Iterator[tuple[str, str]]:
     for name, chosen in scene.boundaries.items():
         if getattr(chosen.value, "moves", False):
             yield f"boundaries.{name}.{chosen.name}", "moves in the reference frame alone: set `world.frame: reference`"
+    yield from _reactions(scene)
     if scene.start == "equilibrium":
         yield "start", "is found in the reference frame alone: set `world.frame: reference`"
+
+
+def _reactions(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield terms and recordings that need the forces of boundaries."""
+    terms: dict[str, Any] = {f"objective.{name}.{c.name}": c.value for name, c in scene.objective.items()}
+    terms |= {f"constraints.{name}.of.{c.of.name}": c.of.value for name, c in scene.constraints.items()}
+    for name, recording in scene.recordings.items():
+        terms[f"data.recordings.{name}.{recording.measurement.name}"] = recording.measurement
+    for path, term in terms.items():
+        if term.boundaries:
+            which = listed([f"'{name}'" for name in term.boundaries])
+            yield path, f"the force of {which} is known in the reference frame alone: set `world.frame: reference`"
 
 
 def _at_rest(scene: Scene) -> Iterator[tuple[str, str]]:

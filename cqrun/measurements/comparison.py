@@ -41,6 +41,7 @@ class Comparison(ABC):
         remark: what a user should know about how the recording was made; may be empty.
         doubts: what looks wrong in the recording, and what is done about it.
         points: values by key path of each equilibrium that it is compared with; empty for a comparison with a motion.
+        boundaries: those whose force and moment in motion it needs.
     """
 
     rows: csr_array
@@ -49,6 +50,7 @@ class Comparison(ABC):
     remark: str = ""
     doubts: tuple[str, ...] = ()
     points: tuple[dict[str, float], ...] = ()
+    boundaries: tuple[str, ...] = ()
 
     @abstractmethod
     def residuals(self, records: Records, start: float) -> Array:
@@ -103,6 +105,10 @@ class Comparison(ABC):
     def details(self, records: Records, start: float) -> dict[str, float | dict[str, float | None]]:
         """Return further errors for result.json, by a key that ends in their unit; none by default."""
         return {}
+
+    def findings(self, records: Records, start: float) -> Iterator[str]:
+        """Yield what a user should know about the errors; nothing by default."""
+        yield from ()
 
     def facts(self) -> dict[str, Any]:
         """Return facts about the recording itself for result.json; nothing by default."""

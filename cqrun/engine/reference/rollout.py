@@ -248,6 +248,10 @@ class ReferenceRollout(Rollout):
         """Return the probe's records so far, with the reactions of the boundaries that are recorded."""
         return replace(super().read_records(), held=reactions_by_name(self.reactions, self.model))
 
+    def held_at(self, control: int) -> dict[str, Array]:
+        """Return force and moment of every recorded boundary in the control step that ended at `control`, by name."""
+        return {name: rows[control] for name, rows in reactions_by_name(self.reactions, self.model).items()}
+
     def _record_start(self) -> None:
         crew = Crew(0, 1)
         note(self.bundle, self.start[0], self.start[1], self.probe, self.records[0], crew)
