@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
 from cqrun.build.contact import unknown_surfaces
 from cqrun.build.history import remembering
 from cqrun.build.particles import Particles
+from cqrun.build.reactions import boundaries_by_user
 from cqrun.build.volumes import volume_problems
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.setting import MARGIN, grid_shape
@@ -52,21 +52,11 @@ def _elsewhere(scene: Scene) -> Iterator[tuple[str, str]]:
     for name, chosen in scene.boundaries.items():
         if getattr(chosen.value, "moves", False):
             yield f"boundaries.{name}.{chosen.name}", "moves in the reference frame alone: set `world.frame: reference`"
-    yield from _reactions(scene)
+    for path, names in boundaries_by_user(scene):
+        which = listed([f"'{name}'" for name in names])
+        yield path, f"the force of {which} is known in the reference frame alone: set `world.frame: reference`"
     if scene.start == "equilibrium":
         yield "start", "is found in the reference frame alone: set `world.frame: reference`"
-
-
-def _reactions(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield terms and recordings that need the forces of boundaries."""
-    terms: dict[str, Any] = {f"objective.{name}.{c.name}": c.value for name, c in scene.objective.items()}
-    terms |= {f"constraints.{name}.of.{c.of.name}": c.of.value for name, c in scene.constraints.items()}
-    for name, recording in scene.recordings.items():
-        terms[f"data.recordings.{name}.{recording.measurement.name}"] = recording.measurement
-    for path, term in terms.items():
-        if term.boundaries:
-            which = listed([f"'{name}'" for name in term.boundaries])
-            yield path, f"the force of {which} is known in the reference frame alone: set `world.frame: reference`"
 
 
 def _at_rest(scene: Scene) -> Iterator[tuple[str, str]]:

@@ -30,6 +30,7 @@ from cqrun.build.limits import (
 )
 from cqrun.build.particles import Particles, sample, stress_key
 from cqrun.build.raster import Raster, rasterised
+from cqrun.build.reactions import needed_boundaries
 from cqrun.build.regions import boundary
 from cqrun.build.volumes import averages, locking_bodies
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
@@ -128,6 +129,7 @@ def build(scene: Scene) -> Built:
         surface=surface,
         obstacles=obstacles,
         meeting=meeting,
+        reactions=needed_boundaries(scene),
         n_nodes=count_nodes(particles.layout, particles.x, scene.world.dx) if scene.world.frame == "reference" else 0,
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings), rasters)

@@ -52,8 +52,7 @@ class Case:
     @classmethod
     def probed(cls, name: str, built: Built, comparisons: tuple[Comparison, ...], **rest: Any) -> Case:
         """Return the case whose model records what its comparisons need, the same for all."""
-        model = replace(built.model, probe=comparisons[0].rows, reactions=comparisons[0].boundaries)
-        case = cls(name, replace(built, model=model), comparisons, **rest)
+        case = cls(name, replace(built, model=replace(built.model, probe=comparisons[0].rows)), comparisons, **rest)
         if not built.model.settled:
             return case
         still = case.runner.still()

@@ -64,7 +64,6 @@ class Wanted(Comparison):
 
     def __init__(self, objective: Objective, goals: Mapping[str, Array], matter: Matter) -> None:
         self.objective, self.rows, self.goals, self.matter = objective, objective.rows, goals, matter
-        self.boundaries = objective.boundaries
 
     def track(self, records: Records) -> Track:
         """Return the records in the form that the terms take."""

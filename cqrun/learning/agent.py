@@ -134,9 +134,7 @@ class Agent:
         users = (self.observation, self.objective, self.constraints)
         self.places = slices([user.rows.shape[0] for user in users])
         rows = sparse.vstack([user.rows for user in users]).tocsr()
-        needed = (*built.model.reactions, *self.objective.boundaries, *self.constraints.boundaries)
-        reactions = tuple(dict.fromkeys(needed))
-        self.model = replace(built.model, probe=sparse.csr_array(rows), reactions=reactions)
+        self.model = replace(built.model, probe=sparse.csr_array(rows))
         self.params = self._params()
         self.acting = {b.path: np.array(b.initial) for b in self.params.blocks if b.path.startswith(CONTROLLER)}
         if trained is not None and meta is not None:

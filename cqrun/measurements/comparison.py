@@ -41,7 +41,6 @@ class Comparison(ABC):
         remark: what a user should know about how the recording was made; may be empty.
         doubts: what looks wrong in the recording, and what is done about it.
         points: values by key path of each equilibrium that it is compared with; empty for a comparison with a motion.
-        boundaries: those whose force and moment in motion it needs.
     """
 
     rows: csr_array
@@ -50,7 +49,6 @@ class Comparison(ABC):
     remark: str = ""
     doubts: tuple[str, ...] = ()
     points: tuple[dict[str, float], ...] = ()
-    boundaries: tuple[str, ...] = ()
 
     @abstractmethod
     def residuals(self, records: Records, start: float) -> Array:

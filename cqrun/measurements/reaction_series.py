@@ -43,7 +43,7 @@ class ReactionSeries(SeriesComparison):
     def __init__(self, spec: Any, recorded: Recorded, n_particles: int, index: int, time: Array, values: Array) -> None:
         rows = sparse.csr_array((0, n_particles))
         super().__init__(spec, recorded, rows, [spec.boundary], time, values[:, None, None])
-        self.boundaries, self.index, self.from_first = (spec.boundary,), index, spec.from_first
+        self.boundary, self.index, self.from_first = spec.boundary, index, spec.from_first
         self.column, self.sign = spec.column, 1.0 if spec.on == "body" else -1.0
         if self.from_first:
             if not self.seen[0, 0]:
@@ -55,13 +55,13 @@ class ReactionSeries(SeriesComparison):
 
     def observe(self, records: Records) -> tuple[Array, None]:
         """Return the component at control steps (T + 1, 1, 1)."""
-        mean = records.held[self.boundaries[0]][1:, self.index]
+        mean = records.held[self.boundary][1:, self.index]
         return (self.sign * at_control_steps(mean))[:, None, None], None
 
     def observe_vjp(self, records: Records, y_bar: Array, w_bar: Array) -> Records:
         """Return the cotangent of the records from that of the component."""
         bar = records.zeros_like()
-        bar.held[self.boundaries[0]][1:, self.index] = at_control_steps_vjp(self.sign * y_bar[:, 0, 0])
+        bar.held[self.boundary][1:, self.index] = at_control_steps_vjp(self.sign * y_bar[:, 0, 0])
         return bar
 
     def model(self, records: Records, start: float) -> Array:

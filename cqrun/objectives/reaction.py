@@ -83,7 +83,7 @@ class BoundReaction(BoundTerm):
 
     def __init__(self, spec: Reaction, matter: Matter) -> None:
         self.rows, self.over = means([], matter.n_particles), spec.over
-        self.boundaries, self.sign = spec.boundaries, spec.sign
+        self.boundary, self.sign = spec.boundary, spec.sign
         dim, is_force = matter.dim, spec.of == "force"
         self.magnitude = spec.component is None
         self.columns = slice(0, dim) if is_force else slice(dim, None)
@@ -96,16 +96,14 @@ class BoundReaction(BoundTerm):
         return lengths(rows, squared=False) if self.magnitude else self.sign * rows[:, 0]
 
     def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
-        rows = self._rows(track)
-        (name,) = self.boundaries
-        held_bar = np.zeros(track.held[name].shape)
+        rows, held_bar = self._rows(track), np.zeros(track.held[self.boundary].shape)
         by_row = lengths_vjp(rows, False, h_bar) if self.magnitude else self.sign * h_bar[:, None]
         held_bar[1:, self.columns] = by_row
-        return TrackBar(held={name: held_bar})
+        return TrackBar(held={self.boundary: held_bar})
 
     def _rows(self, track: Track) -> Array:
         """Return the components that count, at the end of every control step (T, 1 to 3)."""
-        return track.held[self.boundaries[0]][1:, self.columns]
+        return track.held[self.boundary][1:, self.columns]
 
 
 @plugin("objective", "reaction_track")
@@ -143,7 +141,7 @@ class BoundReactionTrack(BoundTerm):
 
     def __init__(self, spec: ReactionTrack, matter: Matter) -> None:
         self.rows, self.over = means([], matter.n_particles), spec.over
-        self.boundaries, self.sign = spec.boundaries, spec.sign
+        self.boundary, self.sign = spec.boundary, spec.sign
         self.column = place_of(spec.component, spec.of, matter.dim)
         middles = (np.arange(matter.n_controls) + 0.5) * matter.control_step
         times, values = np.array(spec.path).T
@@ -153,10 +151,9 @@ class BoundReactionTrack(BoundTerm):
         return self._gap(track) ** 2
 
     def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
-        (name,) = self.boundaries
-        held_bar = np.zeros(track.held[name].shape)
+        held_bar = np.zeros(track.held[self.boundary].shape)
         held_bar[1:, self.column] = 2.0 * self.sign * self._gap(track) * h_bar
-        return TrackBar(held={name: held_bar})
+        return TrackBar(held={self.boundary: held_bar})
 
     def _gap(self, track: Track) -> Array:
-        return np.asarray(self.sign * track.held[self.boundaries[0]][1:, self.column] - self.wanted)
+        return np.asarray(self.sign * track.held[self.boundary][1:, self.column] - self.wanted)

@@ -75,13 +75,11 @@ class BoundTerm(ABC):
         rows: (K, N) weights of the sums over particles that it needs.
         over: how the values of the control steps are combined.
         course: (K, D) positions that a body should pass one after the other [m], for pictures; None if it has none.
-        boundaries: those whose force and moment it needs.
     """
 
     rows: csr_array
     over: Over
     course: Array | None = None
-    boundaries: tuple[str, ...] = ()
 
     @abstractmethod
     def steps(self, track: Track) -> Array:
@@ -139,7 +137,6 @@ class Objective:
         self.factors = {name: term.sense * term.weight for name, term in terms.items()}
         bound = list(self.terms.values())
         self.rows = stacked([term.rows for term in bound], matter.n_particles)
-        self.boundaries = tuple(dict.fromkeys(name for term in bound for name in term.boundaries))
         self._places = dict(zip(self.terms, slices([term.rows.shape[0] for term in bound]), strict=True))
 
     def values(self, track: Track) -> dict[str, float]:

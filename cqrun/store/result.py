@@ -224,6 +224,13 @@ class BodyMotion(Part):
     least_volume_ratio: float
 
 
+class BoundaryForce(Part):
+    """The force with which a boundary acts on the bodies: its mean over the run, and its largest size [N; 2D: N/m]."""
+
+    mean: list[float]
+    largest: float
+
+
 class SimulateResult(Part):
     """The result of a simulation.
 
@@ -232,6 +239,7 @@ class SimulateResult(Part):
         bodies: the bodies by name.
         fracture: for each body, the most pairs of neighbours lost at one time.
         findings: sentences about what went wrong.
+        boundaries: forces of the boundaries by name, in the reference frame.
         goals, loss, terms, constraints: those of the episode, if the scene has a controller.
     """
 
@@ -244,6 +252,7 @@ class SimulateResult(Part):
     fracture: dict[str, int]
     findings: list[str]
     thinnest: dict[str, Thinnest] = thinnest_parts_field()
+    boundaries: dict[str, BoundaryForce] | None = optional()
     goals: dict[str, list[float]] | None = optional()
     loss: float | None = optional()
     terms: dict[str, float] | None = optional()
