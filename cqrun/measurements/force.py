@@ -12,7 +12,7 @@ from scipy import sparse
 from cqrun.engine.model import Records
 from cqrun.engine.statics.path import RestRecords
 from cqrun.errors import DataError
-from cqrun.explain import Loc, complaint, finding
+from cqrun.explain import Loc, complaint, finding, listed
 from cqrun.measurements.at_rest import LABEL, RestComparison, RestMeasurement
 from cqrun.measurements.load_table import LoadTable, factor_of, read_table
 from cqrun.measurements.measurement import Recorded
@@ -91,7 +91,10 @@ class Reaction(RestMeasurement):
         if self.time is not None:
             return self._over_time(table, self.time, values, recorded, matter)
         points = self.line_loads(table)
-        table.require_all_used({self.column, *self.loads, *self.ignore, LABEL}, "is neither a load nor the force")
+        table.require_all_used(
+            {self.column, *self.loads, *self.ignore, LABEL}, "is neither a load nor the force",
+            otherwise="if it is the time of a motion, name it in `time`; ",
+        )  # fmt: skip
         self.require_loads(table, len(points))
         if self.from_first and (len(values) < 2 or np.isnan(values[0])):
             raise DataError(f"{table.source}: `from_first` needs a force in the first line, and a second line")
@@ -104,7 +107,11 @@ class Reaction(RestMeasurement):
         table.require(column, "the time")
         for other in self.ignore:
             table.require(other, "of `ignore`,")
-        table.require_all_used({self.column, column, *self.ignore, LABEL}, "is neither the time nor the force")
+        if unused := [name for name in table.head if name not in {self.column, column, *self.ignore}]:
+            raise DataError(
+                f"{table.source}: the column{'s' * (len(unused) > 1)} {listed(unused)} is neither the time nor the "
+                "force: add it to `ignore`; the loads of a motion are those of the scene"
+            )
         time = factor_of(column, SECONDS, None, "s", table.source) * table.numbers(column)
         if len(back := np.flatnonzero(np.diff(time) <= 0)):
             k = int(back[0])

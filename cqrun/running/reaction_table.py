@@ -17,8 +17,7 @@ from cqrun.build.model import Built
 from cqrun.plugin.contract import Array
 from cqrun.running.rest_table import AXES, names_of
 from cqrun.store.atomic import write_table
-from cqrun.store.reactions import Reactions
-from cqrun.store.result import BoundaryForce
+from cqrun.store.reactions import BoundaryForce, Reactions
 
 
 def with_reactions(built: Built) -> Built:

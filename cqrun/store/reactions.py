@@ -14,11 +14,19 @@ import numpy as np
 
 from cqrun.plugin.contract import Array
 from cqrun.store.hdf5 import checksum, member, numbers
+from cqrun.store.model_file import Part
 
 if TYPE_CHECKING:
     import h5py
 
 GROUP, TIME, BOUNDARIES, PARTS = "reactions", "time", "boundaries", ("force", "moment")
+
+
+class BoundaryForce(Part):
+    """The force with which a boundary acts on the bodies: its mean over the run, and its largest size [N; 2D: N/m]."""
+
+    mean: list[float]
+    largest: float
 
 
 @dataclass(frozen=True)

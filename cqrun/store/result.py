@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field, TypeAdapter
 
 from cqrun.errors import UsageError
 from cqrun.store.model_file import Part, optional, read_model, write_model
+from cqrun.store.reactions import BoundaryForce
 from cqrun.store.thinnest import Thinnest, thinnest_parts_field
 
 RESULT, GRADCHECK = "result.json", "gradcheck.json"
@@ -222,13 +223,6 @@ class BodyMotion(Part):
     kinetic_energy: float
     fastest: float
     least_volume_ratio: float
-
-
-class BoundaryForce(Part):
-    """The force with which a boundary acts on the bodies: its mean over the run, and its largest size [N; 2D: N/m]."""
-
-    mean: list[float]
-    largest: float
 
 
 class SimulateResult(Part):
