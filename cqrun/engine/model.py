@@ -112,7 +112,8 @@ class Model:
     def state_bytes(self) -> int:
         """Bytes of one kept state: of the particles, or in the reference frame of nodes, springs and histories.
 
-        The histories of a sorted layout have a little more padding.
+        The histories of a sorted layout have a little more padding, and the impulses of recorded reactions, which only
+        nodes have that slip or are carried, are not counted.
         """
         rows = self.n_nodes + -(-self.n_springs // 2)
         remembered = sum(field.size for field in self.layout.history) * self.layout.n
