@@ -45,6 +45,7 @@ class Reaction(RestMeasurement):
         description="Column with the times [s] of a motion; its name may end in a unit, such as time_ms. Without it, "
         "each line is an equilibrium under its loads",
         default=None,
+        exclude_if=lambda time: time is None,
     )
     column: str = Field(description="Column with what was measured; its name may end in a unit, such as force_mN")
     on: Literal["body", "boundary"] = Field(
