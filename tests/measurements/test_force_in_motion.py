@@ -39,7 +39,7 @@ bodies:
 boundaries:
   wall: {sticky: {region: {box: {corner: [0, 0.02], size: [0.04, 0.06]}}}}
   jaw: {sticky: {region: {box: {corner: [0.12, 0.02], size: [0.04, 0.06]}}, displacement: [0.004, 0]}}
-  floor: {friction: {face: y_min, thickness: 0.0195, coefficient: 0.3}}
+  floor: {friction: {face: y_min, thickness: 0.02, coefficient: 0.3}}
 time: {duration: 0.1, control_step: 0.01}
 """
 
@@ -253,7 +253,7 @@ def test_a_simulation_writes_the_reactions(folder):
         np.testing.assert_array_equal(force, table)
         np.testing.assert_array_equal(stored.moment[name][:, 0], [float(row[f"{name}.moment"]) for row in rows])
     assert (stored.force["jaw"][:, 0] > 0).all()  # it pulls the bar
-    assert stored.force["floor"][-1, 1] > 0
+    assert stored.force["floor"][:, 1].min() >= 0.0 < stored.force["floor"][:, 1].max()  # it carries the bar
     with h5py.File(run / "trajectory.h5") as file:
         assert file["reactions/boundaries/jaw/force"].attrs["unit"] == "N/m"
         assert file["reactions/boundaries/jaw/moment"].attrs["unit"] == "N"
