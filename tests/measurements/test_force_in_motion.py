@@ -195,6 +195,16 @@ def test_the_gradient_of_a_wanted_force_agrees(folder):
     assert all(row["adjoint"] != 0.0 for row in rows)
 
 
+def test_the_gradient_holds_for_a_motion_that_starts_at_equilibrium(folder):
+    """A reversed run, and one that keeps states because of a viscous material."""
+    scene = "\n".join(line for line in PULL.splitlines() if "floor" not in line) + "\nstart: equilibrium\n"
+    wanted = "\n".join(line for line in WANTED.splitlines() if "floor" not in line) + "\n"
+    for material in ("", ", viscosity: {shear: 2}"):
+        given = scene.replace("poissons_ratio: 0.3}}}", "poissons_ratio: 0.3}}" + material + "}")
+        _, agrees = run_gradcheck(scene_of(folder, wanted, given), (), folder / "out", reporter=Listener())
+        assert agrees, material
+
+
 DRIVEN = f"""\
 actuators:
   m: {{muscle: {{body: bar, axis: [1, 0], strength: 2.0e3}}}}
