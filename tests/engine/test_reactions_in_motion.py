@@ -208,6 +208,7 @@ def test_single_precision_gives_the_same_but_for_rounding():
 
 
 def test_the_motion_and_its_gradient_do_not_feel_that_reactions_are_recorded():
+    """But for rounding: the kernels with reactions are others, and the compiler fuses other sums."""
     found = []
     for reactions in (ALL, ()):
         model, inputs = touched(2)
@@ -217,7 +218,7 @@ def test_the_motion_and_its_gradient_do_not_feel_that_reactions_are_recorded():
         assert set(records.held) == set(reactions)
         found.append([*parts(records), *arrays(bar)])
     for got, want in zip(*found, strict=True):
-        assert (got == want).all()
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-10 * np.abs(want).max())
 
 
 def loss(records):
