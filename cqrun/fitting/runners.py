@@ -80,8 +80,10 @@ class InMotion:
         return make_rollout(self.built.model, self.built.assembly.inputs(values), threads=threads).run(observe)
 
     def still(self) -> Records:
-        """Return the records of bodies that do not move."""
-        return _still(self.built, self.built.model.n_controls + 1)
+        """Return the records of bodies that do not move, on which no boundary acts."""
+        model, count = self.built.model, self.built.model.n_controls + 1
+        size = model.dim + (1 if model.dim == 2 else 3)
+        return replace(_still(self.built, count), held={name: np.zeros((count, size)) for name in model.reactions})
 
     def gradient(
         self, values: Values, loss_bar: Callable[[Records], Records], threads: int = 1, budget: int | None = None,

@@ -69,7 +69,7 @@ class Wanted(Comparison):
         """Return the records in the form that the terms take."""
         nothing, matter = np.zeros((self.matter.n_controls, self.matter.n_actuators)), self.matter
         x, v, C, F = records
-        return Track(x, v, C, F, nothing, self.goals, matter.control_step, matter.design)
+        return Track(x, v, C, F, nothing, self.goals, matter.control_step, matter.design, records.held)
 
     def wanted(self) -> dict[str, Any]:
         """Return the goal positions [m] for the attributes of a trajectory."""
@@ -86,4 +86,6 @@ class Wanted(Comparison):
     def loss_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Records, float]:
         """Return the cotangent of the records from that of the loss, and 0 as that of `start`."""
         bar = self.objective.loss_vjp(self.track(records), loss_bar)
-        return replace(records.zeros_like(), **{k: b for k in "xvCF" if (b := getattr(bar, k)) is not None}), 0.0
+        out = replace(records.zeros_like(), **{k: b for k in "xvCF" if (b := getattr(bar, k)) is not None})
+        out.held.update(bar.held or {})
+        return out, 0.0

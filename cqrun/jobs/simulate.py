@@ -2,6 +2,7 @@
 
 trajectory.h5     x, v and J of every particle, at most 300 frames
 observables.csv   one row per control step (observables.py)
+reactions.csv     force and moment of every boundary for each control step, in the reference frame (reaction_table.py)
 result.json       final positions and extreme values of the bodies, findings, the objective's terms
 controller.npz    the controller, if there is one, and activation.csv the activations of the actuators
 identified.json   in a replay of a run of sysid: the result of that run, with the values in use
@@ -35,6 +36,7 @@ from cqrun.running.cost import about
 from cqrun.running.drift import drift_findings
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.observables import Observables
+from cqrun.running.reaction_table import summary_of, with_reactions, write_reaction_table
 from cqrun.running.reporter import Reporter, Silent
 from cqrun.running.runs import build_and_warn, raise_if_failed
 from cqrun.running.tables import number, table
@@ -42,6 +44,7 @@ from cqrun.running.trajectories import as_found, write_activation, write_traject
 from cqrun.scene.paths import get
 from cqrun.scene.schema import Scene
 from cqrun.state import State
+from cqrun.store.reactions import Reactions
 from cqrun.store.result import BodyMotion, SimulateResult, write_result
 from cqrun.store.run import RunDirectory
 
@@ -69,7 +72,7 @@ class Simulate(Job[Simulation, SimulateResult]):
 
     def prepare(self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES) -> Simulation:
         """Build a scene, with its controller or one from a file, or with the values that a run of sysid found."""
-        built = build_and_warn(scene, talk)
+        built = with_reactions(build_and_warn(scene, talk))
         agent = make_agent(built, files.get(FILE), talk)
         values = identified_values(built, files.get(IDENTIFIED))
         return Simulation(built if agent is None else agent.built, agent, values, threads)
@@ -122,6 +125,10 @@ class Simulate(Job[Simulation, SimulateResult]):
             result.findings.append(UNTRAINED)
         if agent is not None:
             _add_episode(result, run, agent, rollout, records)
+        if records.held:
+            result.boundaries = summary_of(records.held, model.dim)
+            reactions = Reactions.of(records.held, model.dim, time.control_step)
+            write_reaction_table(run.path / "reactions.csv", reactions)
         result.findings += [*rollout.remarks(), *drift_findings(built, last)]
         for sentence in result.findings:
             talk.warn(sentence)
@@ -141,6 +148,14 @@ class Simulate(Job[Simulation, SimulateResult]):
         ]  # fmt: skip
         yield from table(head, rows)
         yield from resolved_lines(result.thinnest)
+        if result.boundaries:
+            forces = [
+                (name, ", ".join(map(number, force.mean)), number(force.largest))
+                for name, force in result.boundaries.items()
+            ]
+            unit = "N" if all(len(force.mean) == 3 for force in result.boundaries.values()) else "N/m"
+            yield ""
+            yield from table(("boundary", f"mean force on the bodies [{unit}]", f"largest [{unit}]"), forces)
         if result.terms is not None and result.loss is not None:
             values = {**result.terms, "loss": result.loss}
             yield ""

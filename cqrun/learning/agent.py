@@ -97,7 +97,7 @@ class Agent:
             values that were learned with them for every group or particle.
         changes: a sentence if parameters in the file mean something else here than in their training.
         starts: start values of the scene's unknowns for regularisers; in a replay those of the training, if known.
-        model: the scene's model, which records what observers and objective need.
+        model: the scene's model, which records what observers, objective and constraints need.
 
     Raises:
         SceneError: an observer, the controller or a term of the objective does not fit the scene.
@@ -258,7 +258,7 @@ class Agent:
         return Track(
             records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at],
             rollout.activation if activation is None else activation, goals, self.matter.control_step,
-            self.built.assembly.design(rollout.inputs),
+            self.built.assembly.design(rollout.inputs), records.held,
         )  # fmt: skip
 
     def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:
@@ -340,6 +340,9 @@ class Agent:
                 part = getattr(bar, name)
                 if part is not None:
                     getattr(full, name)[:, self.places[user]], moves = part, True
+            for boundary, held_bar in (bar.held or {}).items():
+                full.held[boundary] += held_bar
+                moves = True
             for name in ("activation", "design"):
                 part, so_far = getattr(bar, name), getattr(total, name)
                 if part is not None:

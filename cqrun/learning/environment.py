@@ -161,8 +161,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
 
     def _empty_track(self) -> Track:
         """Return the episode in the form of the objective, which each step fills."""
-        rows = Records.from_rows(self.rollout.records, self.agent.model.layout.table)
-        zeros = rows.zeros_like()
+        zeros = self.rollout.read_records().zeros_like()
         return self.agent.track(zeros, self.rollout, self.goals, activation=np.zeros_like(self.rollout.activation))
 
     def _loss_if_it_ended(self) -> float:
@@ -171,6 +170,8 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
         now = Records.from_rows(self.rollout.records[control : control + 1], self.agent.model.layout.table)
         for name in ("x", "v", "C", "F"):
             getattr(self.track, name)[control:] = getattr(now, name)[:, at]
+        for name, rows in self.rollout.held_at(control).items():
+            self.track.held[name][control:] = rows
         self.track.activation[:control] = self.rollout.activation[:control]
         return float(self.agent.objective.loss(self.track))
 

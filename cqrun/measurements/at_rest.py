@@ -198,10 +198,6 @@ class RestComparison(Comparison):
         y_bar = np.concatenate([np.zeros((1, *errors.shape[1:])), (2.0 * loss_bar / self.count) * errors])
         return self.observe_vjp(records, y_bar), 0.0
 
-    def findings(self, records: Records) -> Iterator[str]:
-        """Yield what a user should know about the errors of single points; nothing by default."""
-        yield from ()
-
     def moved(self, offset: Array) -> RestComparison:
         """Return the comparison with an offset (D,) added to every measured value."""
         other = copy.copy(self)

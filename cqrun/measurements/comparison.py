@@ -104,6 +104,10 @@ class Comparison(ABC):
         """Return further errors for result.json, by a key that ends in their unit; none by default."""
         return {}
 
+    def findings(self, records: Records, start: float) -> Iterator[str]:
+        """Yield what a user should know about the errors; nothing by default."""
+        yield from ()
+
     def facts(self) -> dict[str, Any]:
         """Return facts about the recording itself for result.json; nothing by default."""
         return {}

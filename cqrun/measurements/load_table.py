@@ -70,13 +70,14 @@ class LoadTable:
             near = suggest(column, self.head)
             raise DataError(f"{self.source}: {what} '{column}' is not a column{near}; it has {listed(self.head)}")
 
-    def require_all_used(self, used: Iterable[str], what: str) -> None:
-        """Raise a DataError for columns that nothing uses."""
+    def require_all_used(self, used: Iterable[str], what: str, *, otherwise: str = "") -> None:
+        """Raise a DataError for columns that nothing uses; `otherwise` is what else they may be, beside loads."""
         unused = [column for column in self.head if column not in set(used)]
         if unused:
             raise DataError(
                 f"{self.source}: the column{'s' * (len(unused) > 1)} {listed(unused)} {what}: if it is a load, name in "
-                f"`loads` what it drives, such as {unused[0]}: actuators.NAME.cable.tension; if not, add it to `ignore`"
+                f"`loads` what it drives, such as {unused[0]}: actuators.NAME.cable.tension; {otherwise}if not, add it "
+                "to `ignore`"
             )
 
 

@@ -66,6 +66,21 @@ class Measurement(Plugin):
     takes: ClassVar[frozenset[str]] = frozenset()
     at_rest: ClassVar[bool] = False
 
+    @property
+    def compares_rest(self) -> bool:
+        """Whether this one compares equilibria; a measurement that is `at_rest` may also compare a motion."""
+        return self.at_rest
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """The boundaries whose force and moment in motion it needs."""
+        return ()
+
+    @property
+    def table_name(self) -> str:
+        """Name of the file with data and model."""
+        return self.table_file()
+
     @abstractmethod
     def bind(self, recorded: Recorded, matter: Matter) -> Comparison:
         """Return the comparison of a recording with a scene's particles.

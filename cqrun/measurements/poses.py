@@ -121,7 +121,7 @@ class PoseComparison(RestComparison):
         }
         return {"mean_mm": float(away[seen].mean()), "poses_mm": each}
 
-    def findings(self, records: Records) -> Iterator[str]:
+    def findings(self, records: Records, start: float) -> Iterator[str]:
         """Yield poses that end elsewhere than the data: far from them, beside the other poses and their own way."""
         places = self.observe(records)
         seen = self.seen.all(axis=2)

@@ -40,6 +40,8 @@ class Track:
         goals: goal -> its entries in this episode.
         control_step: length of a control step [s].
         design: (Q, N) rows of `objectives/design.py` for every particle.
+        held: force [N] and moment [N m] of the boundaries that terms need (T+1, D+1) or (T+1, 6), by name: means over
+            each control step, which row 0 does not have (engine/reference/reactions.py).
     """
 
     x: Array
@@ -50,6 +52,7 @@ class Track:
     goals: Mapping[str, Array]
     control_step: float
     design: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    held: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass
@@ -62,6 +65,7 @@ class TrackBar:
     F: Array | None = None
     activation: Array | None = None
     design: Array | None = None
+    held: dict[str, Array] | None = None
 
 
 class BoundTerm(ABC):
@@ -102,6 +106,11 @@ class ObjectiveTerm(Plugin):
 
     weight: float = Field(description="Factor in the loss", default=1.0)
     over: Over = Field(description="How the values of all control steps are combined", default="final")
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """The boundaries whose force and moment it needs, which only the reference frame has."""
+        return ()
 
     @abstractmethod
     def bind(self, matter: Matter) -> BoundTerm:
@@ -165,6 +174,9 @@ class Objective:
                 _add(total, part, getattr(term_bar, part), getattr(track, part), (slice(None), self._places[name]))
             _add(total, "activation", term_bar.activation, track.activation, ())
             _add(total, "design", term_bar.design, track.design, ())
+            for boundary, held_bar in (term_bar.held or {}).items():
+                total.held = total.held or {}
+                total.held[boundary] = total.held.get(boundary, 0.0) + held_bar
         return total
 
     def _part(self, track: Track, name: str) -> Track:
@@ -172,7 +184,7 @@ class Objective:
         at = self._places[name]
         return Track(
             track.x[:, at], track.v[:, at], track.C[:, at], track.F[:, at], track.activation, track.goals,
-            track.control_step, track.design,
+            track.control_step, track.design, track.held,
         )  # fmt: skip
 
 

@@ -41,6 +41,8 @@ def composition(built: Built, *, adjoint: bool) -> str:
         [condition.spec.name for condition in model.conditions]
         + ["contact"] * bool(model.obstacles)
         + ["meeting bodies"] * (model.meeting is not None)
+        + ["reactions"] * bool(model.reactions)
+        + ["reactions of obstacles"] * any(c.spec.is_obstacle and c.name in model.reactions for c in model.conditions)
     )
     kind = "forward and backward" if adjoint else "forward"
     frame = (", reference frame" if model.frame == "reference" else "") + (

@@ -76,7 +76,7 @@ def run_scene(
     """
     read = {**part_files(scene), **(data_files(scene) if with_data else {}), **(files or {})}
     base = str(scene.resolve_path("").resolve())
-    tables = () if scene.data is None else tuple(m.table_file() for m in scene.data.measurements)
+    tables = () if scene.data is None else tuple(m.table_name for m in scene.data.measurements)
     return RunScene(stem, dump(resolve(scene)), scene.text, read, base, job, scene.plugin_paths(), tables)
 
 

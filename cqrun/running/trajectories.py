@@ -16,6 +16,7 @@ from cqrun.plugin.contract import Array
 from cqrun.scene.load import dump, resolve
 from cqrun.state import State
 from cqrun.store.atomic import write_table
+from cqrun.store.reactions import Reactions
 from cqrun.store.trajectory import TrajectoryWriter
 
 FRAMES = 300
@@ -34,7 +35,7 @@ def write_trajectory(
     progress: Callable[[int, State], None] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> tuple[Records, bool]:
-    """Run a scene and write x, v, J = det F, the activation and the histories of its particles.
+    """Run a scene and write x, v, J = det F, activation and histories of its particles, and recorded reactions.
 
     Args:
         path: file to write.
@@ -74,6 +75,8 @@ def write_trajectory(
         complete = writer.written == n_frames  # the last frame belongs to the last control step
         if not complete:
             writer.abandon()
+        elif records.held:
+            writer.add_reactions(Reactions.of(records.held, model.dim, step))
     return records, complete
 
 

@@ -82,7 +82,7 @@ class Recording(PluginKeys):
                 raise complaint("Recording", [finding(message, (name,), kind=KEY)])
         timed = {"start": self.start != 0.0, "length": self.length is not None, "skip": self.skip != 0.0}
         for name, is_given in timed.items():
-            if is_given and self.measurement.at_rest:
+            if is_given and self.measurement.compares_rest:
                 message = f"has no meaning for the measurement `{self.measurement.name}`, which is at rest: remove it"
                 raise complaint("Recording", [finding(message, (name,), kind=KEY)])
         return self

@@ -263,7 +263,7 @@ def _of_recordings(scene: Scene) -> Iterator[InitErrorDetails]:
                 message = f"the recording '{name}' is held out, so nothing determines {its}: remove this unknown"
                 yield finding(message, place, kind=KEY)
             elif (what.startswith("offset.") and "offset" not in recording.measurement.takes) or (
-                what == "start" and recording.measurement.at_rest
+                what == "start" and recording.measurement.compares_rest
             ):
                 message = f"has no meaning for the measurement `{recording.measurement.name}`: remove it"
                 yield finding(message, place, kind=KEY)

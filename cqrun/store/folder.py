@@ -25,7 +25,8 @@ TEMPORARY = ".*.[0-9]*.tmp"
 OWN_FILES = (
     RECORD, LOCK, "scene.yaml", "scene.original.yaml", "log.txt", "history.csv", "evals.log", "evals.[01].npz",
     "result.json", "gradcheck.json", "identified.json", "controller.npz", "activation.csv", "observables.csv",
-    "rest.csv", "tracks.csv", "trajectory.h5", "trajectory.h5.part", "trajectory.h5.new", "trajectory.h5.packing",
+    "reactions.csv", "rest.csv", "tracks.csv", "trajectory.h5", "trajectory.h5.part", "trajectory.h5.new",
+    "trajectory.h5.packing",
 )  # fmt: skip
 """Patterns of the files of a run; tables of other measurements have names of their own (`RunScene.tables`)."""
 

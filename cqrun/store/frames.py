@@ -15,6 +15,7 @@ from cqrun.disk import require_ordinary
 from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
 from cqrun.store.hdf5 import checksum, numbers, require_sound_heaps, require_stored_zeros, text
+from cqrun.store.reactions import Reactions, read_reactions
 
 if TYPE_CHECKING:
     import h5py
@@ -87,6 +88,15 @@ class Frames:
         """Return a field in every frame (T, N, ...); raise a UsageError if it cannot be read."""
         with self._reading():
             return self._sound(field, 0, np.asarray(self._field(field)[: len(self)]))
+
+    def read_reactions(self) -> Reactions | None:
+        """Return the reactions of boundaries; None if there are none, as in a file that is still being written.
+
+        Raises:
+            UsageError: they cannot be read.
+        """
+        with self._reading():
+            return read_reactions(self._file)
 
     def _sound(self, field: str, first: int, frames: Array) -> Array:
         """Return frames that were read (T, N, ...), from number `first` on, if they are those that were written."""

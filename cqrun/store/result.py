@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field, TypeAdapter
 
 from cqrun.errors import UsageError
 from cqrun.store.model_file import Part, optional, read_model, write_model
+from cqrun.store.reactions import BoundaryForce
 from cqrun.store.thinnest import Thinnest, thinnest_parts_field
 
 RESULT, GRADCHECK = "result.json", "gradcheck.json"
@@ -232,6 +233,7 @@ class SimulateResult(Part):
         bodies: the bodies by name.
         fracture: for each body, the most pairs of neighbours lost at one time.
         findings: sentences about what went wrong.
+        boundaries: forces of the boundaries by name, in the reference frame.
         goals, loss, terms, constraints: those of the episode, if the scene has a controller.
     """
 
@@ -244,6 +246,7 @@ class SimulateResult(Part):
     fracture: dict[str, int]
     findings: list[str]
     thinnest: dict[str, Thinnest] = thinnest_parts_field()
+    boundaries: dict[str, BoundaryForce] | None = optional()
     goals: dict[str, list[float]] | None = optional()
     loss: float | None = optional()
     terms: dict[str, float] | None = optional()

@@ -171,6 +171,22 @@ def test_dot_product(case, kind, rng):
     dot_product(model, inputs, kind, bars, bar, rng)
 
 
+def test_reactions_have_a_gradient_beside_a_history(rng):
+    """The impulses in a kept state stand before the histories."""
+    model, inputs = relaxing(2, viscous=False)
+    model = replace(model, reactions=("sticky", "slip"))
+    bar = Records.zeros(model.n_controls, 3, 2, model.layout.history)
+    bar.held = {name: rng.normal(size=(model.n_controls + 1, 3)) for name in model.reactions}
+    rollout = make_rollout(*compiled(model, inputs, viscous=False), adjoint=True)
+    _, inputs_bar = rollout.gradient(lambda records, state: LossBar(bar))
+    found = values(completed(inputs_bar, viscous=False))
+    for kind in (*OWN, "x", "v", "mass", "neo_hookean.E"):
+        change = way(inputs, kind, rng)
+        records, _ = total_lagrangian.rollout(model, pushed(inputs, kind, 1j * TINY * change))
+        forward = sum((records.held[name][1:] * rows[1:]).sum() for name, rows in bar.held.items()).imag / TINY
+        assert (found[kind] * change).sum() == pytest.approx(forward, rel=DOT_PRODUCT), kind
+
+
 def test_a_run_is_not_reversed(case):
     rollout = case[2]
     assert not rollout.reversible

@@ -10,6 +10,7 @@ with A = 4 / dx^2. Stresses, forces and histories are those of `reference.py`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import reference
@@ -18,6 +19,7 @@ from reference import Array, Moving, t
 from touching import Meeting, Touching
 
 from cqrun.engine.model import Inputs, Model, Records
+from cqrun.engine.setting import node_positions
 
 
 def stencil(model: Model, X: Array) -> Iterator[tuple[Array, Array, Array]]:
@@ -99,6 +101,61 @@ def mean_shear_modulus(model: Model, inputs: Inputs) -> Array:
     return np.array([(mu[part] * V[part]).sum() / V[part].sum() for part in model.layout.slices()])
 
 
+class Acting:
+    """The mean force and moment of each recorded boundary in each control step.
+
+    A node counts for the first boundary that holds it, with its arm from the mean of all such nodes. An obstacle's
+    moment is about the world's origin.
+    """
+
+    def __init__(self, model: Model, present: Array) -> None:
+        self.model, n_grid = model, int(np.prod(model.grid_shape))
+        self.X = node_positions(model.grid_shape, model.dx)[np.arange(len(present)) % n_grid]
+        free, self.nodes = present.copy(), {name: np.zeros(0, int) for name in model.reactions}
+        for condition in model.conditions:
+            own = np.flatnonzero(condition.nodes[np.arange(len(present)) % n_grid] & free)
+            free[own] = False
+            if condition.name in self.nodes:
+                self.nodes[condition.name] = np.append(self.nodes[condition.name], own)
+        self.rows: dict[str, list[Array]] = {name: [np.zeros(self.size)] for name in model.reactions}
+        self.sums: dict[str, Array] = {}
+
+    @property
+    def size(self) -> int:
+        return 3 if self.model.dim == 2 else 6
+
+    def add(self, name: str, force: Array, moment: Array) -> None:
+        zero = np.zeros(self.size, complex)
+        self.sums[name] = self.sums.get(name, zero) + np.concatenate([force, np.atleast_1d(moment)])
+
+    def hold(self, u: Array, impulse: Array) -> None:
+        for name, nodes in self.nodes.items():
+            if len(nodes):
+                arms = self.X[nodes] + u[nodes] - self.X[nodes].mean(axis=0)
+                self.add(name, impulse[nodes].sum(axis=0), turning(arms, impulse[nodes]).sum(axis=0))
+
+    def push(self, touching: Touching) -> None:
+        for o, x, force in touching.pushed:
+            name = self.model.conditions[self.model.obstacles[o].condition].name
+            if name in self.rows:
+                self.add(name, self.model.dt * force, self.model.dt * turning(x[None], force[None])[0])
+
+    def end(self) -> None:
+        """Turn the sums of a control step into means."""
+        zero = np.zeros(self.size)
+        for name, rows in self.rows.items():
+            rows.append(self.sums.get(name, zero) / (self.model.substeps * self.model.dt))
+        self.sums = {}
+
+    def by_name(self) -> dict[str, Array]:
+        return {name: np.array(rows) for name, rows in self.rows.items()}
+
+
+def turning(a: Array, f: Array) -> Array:
+    """Return a x f: (n,) in 2D, (n, 3) in 3D."""
+    return a[:, 0] * f[:, 1] - a[:, 1] * f[:, 0] if a.shape[1] == 2 else np.cross(a, f)
+
+
 def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *contact: None) -> tuple[Records, Moving]:
     """Return the probe's records and the last state; `watch` gets what touches obstacles, and what meets."""
     X, fields, dt, A = inputs.state.x, inputs.fields, model.dt, 4 / model.dx**2
@@ -117,6 +174,7 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
         body = np.repeat(np.arange(len(model.layout.counts)), model.layout.counts)[model.surface.particle]
         meeting = Meeting(model, inputs.coefficients[len(model.conditions)], touching, body)
     watch(touching, meeting)
+    acting = Acting(model, present)
     runs, mu = ghost_runs(model, stencils, fields.volume), mean_shear_modulus(model, inputs)
     W, rows = model.probe.toarray(), []
     s = motion(model, X, stencils, u, v, inputs.state.history)
@@ -131,14 +189,19 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
         f = scattered(stencils, n_nodes, fields.force + pushed, -A * fields.volume[:, None, None] * P)
         if touching is not None:
             f = f + touching.forces(u, v)
+            acting.push(touching)
         if meeting is not None:
             f = f + meeting.forces(u, v)
         f = f + ghost_force(model, runs, mu, u)
         after = np.zeros_like(f)
-        after[present] = ((kept[:, None] * v + dt * f)[present]) / m[present, None]
+        before = kept[:, None] * v + dt * f
+        after[present] = before[present] / m[present, None]
         v = held(model, after, present)
+        acting.hold(u, m[:, None] * v - before)
+        if (step + 1) % model.substeps == 0:
+            acting.end()
         u = u + dt * v
         s = motion(model, X, stencils, u, v, s.history)
         s.history = reference.relaxed(inputs, s.history, s.F, dt)
     rows.append(reference.seen(W, s))
-    return reference.recorded(rows), s
+    return replace(reference.recorded(rows), held=acting.by_name()), s

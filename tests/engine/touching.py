@@ -38,7 +38,8 @@ class Touching:
     """The surface of a model, with the springs of its points.
 
     `stencils` are (node, weight, arm) of every particle, one node at a time. `branches` are those taken so far: the
-    obstacle, and whether the point sticks, slides, or only presses.
+    obstacle, and whether the point sticks, slides, or only presses. `pushed` has the forces of the last substep: the
+    obstacle, the place and the force.
     """
 
     model: Model
@@ -46,6 +47,7 @@ class Touching:
     stencils: Sequence[tuple[Array, Array, Array]]
     springs: Array = field(init=False)
     branches: list[set[tuple[int, str]]] = field(default_factory=list)
+    pushed: list[tuple[int, Array, Array]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         surface = self.model.surface
@@ -63,6 +65,7 @@ class Touching:
         x = self.x + np.einsum("sk,skd->sd", self.weight, u[self.node])
         speed = np.einsum("sk,skd->sd", self.weight, v[self.node])
         taken: set[tuple[int, str]] = set()
+        self.pushed.clear()
         force = np.array([self._on_point(s, x[s], speed[s], taken) for s in range(len(x))])
         self.branches.append(taken)
         out = np.zeros(u.shape, np.result_type(u, force))
@@ -80,6 +83,7 @@ class Touching:
                 taken.add((o, "leaves"))
             if d.real < 0 < N.real:
                 force = force + N * n
+                self.pushed.append((o, x, N * n))
                 taken.add((o, "presses"))
                 if obstacle.rubs and (deepest is None or -d.real > deepest[0]):
                     deepest = -d.real, n, N, self.inputs.coefficients[obstacle.condition], o
@@ -93,6 +97,7 @@ class Touching:
             if slides:
                 after = after * mu * N / (K * length)
             force = force - K * after
+            self.pushed.append((o, x, -K * after))
         self.springs[s] = after
         return force
 

@@ -76,4 +76,5 @@ def _write_files(folder: Path) -> None:
         table.writerow(["hanging", 0.0, "a", "tip", 0.1387, 0.0575])
         table.writerow(["up", 60.0, "b", "tip", 0.1381, 0.0622])
     (folder / "force.csv").write_text("travel_mm,force_mN,note\n0,0,a\n1,20,b\n2,-30,c\n")
+    (folder / "motion.csv").write_text('time_ms,cell_mN,note\n0,0,a\n10,20,b\n20,30,c\n40,10,d\n60,"",e\n')
     (folder / "moment.csv").write_text("upper_N,moment_Nmm\n0,900\n60,1200\n")

@@ -42,6 +42,14 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "stiffness": [{"body": "arm"}, {"body": "arm", "group": "left"}],
         "track": [{"body": "arm", "path": path}, {"body": "arm", "keys": path}, {"body": "arm", "keys": path[:1],
                    "squared": False}, {"body": "arm", "group": "tip", "marker": {"file": "wave.csv", "marker": "tip"}}],
+        "reaction": [
+            {"boundary": "clamp"}, {"boundary": "floor", "component": "y", "on": "boundary"},
+            {"boundary": "clamp", "of": "moment"}, {"boundary": "clamp", "of": "moment", "component": "z"},
+        ],
+        "reaction_track": [
+            {"boundary": "floor", "component": "x", "path": [[0.02, 1.0], [0.2, -1.0]]},
+            {"boundary": "clamp", "of": "moment", "component": "z", "on": "boundary", "path": [[0.0, 0.3]]},
+        ],
         "height": [{"body": "arm", "group": "tip"}, {"body": "ball", "axis": "x"}],
         "contact_free": [
             {"body": "arm", "height": 0.1, "margin": 0.2},  # about half of the particles are too deep

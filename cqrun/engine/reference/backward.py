@@ -16,6 +16,7 @@ from cqrun.engine.reference.ghost import GAMMA, mean_modulus, mean_modulus_vjp
 from cqrun.engine.reference.history import rows_of_state, rows_of_table
 from cqrun.engine.reference.history import with_bars as with_histories_bars
 from cqrun.engine.reference.moves import poses_vjp
+from cqrun.engine.reference.reactions import columns, zero_bars_of
 from cqrun.engine.reference.setting import NodeBars
 from cqrun.engine.reference.shape import make_shape_bars, motion_bar
 from cqrun.engine.reference.step import reverse, see_vjp
@@ -58,8 +59,17 @@ class ReferenceBackward(BackwardRun):
         )
         self.histories = with_histories_bars(r.histories, r.groups, self.groups_bar)
         self.moves = tuple((moves, np.zeros_like(moves.pose)) for moves in r.moves)
-        self.contacts = with_own_bars(r.contacts, r.inputs)
+        self.reactions = tuple((reactions, zero_bars_of(reactions)) for reactions in r.reactions)
+        mean_bar = self.reactions[0][1].mean if self.reactions else np.zeros((0, 0, 0))
+        self.contacts = with_own_bars(r.contacts, r.inputs, mean_bar)
         self.finished = False
+
+    def _begin(self, loss_bar: LossBar) -> None:
+        super()._begin(loss_bar)
+        held_bar, model = {} if loss_bar.records is None else loss_bar.records.held, self.rollout.model
+        for _, bars in self.reactions:
+            for name, bar in held_bar.items():
+                bars.mean[:, model.reactions.index(name), columns(model.dim)] = bar[1:]
 
     def _from(self, states: Array, k: int) -> Array:
         """Return the kept states from the k-th on; a run that reverses has one state."""
@@ -89,9 +99,9 @@ class ReferenceBackward(BackwardRun):
 
         def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
             reverse(
-                self.parts, self.histories, r.conditions, r.loads, r.ghosts, self.moves, self.contacts, r.drive,
-                self.stresses, self.drive_bar.levels, r.bundle, self.bundle, r.rest.patches.colours, states, from_,
-                end, self.reverses, r.probe, self.records_bar, Crew(thread, n),
+                self.parts, self.histories, r.conditions, r.loads, r.ghosts, self.moves, self.reactions,
+                self.contacts, r.drive, self.stresses, self.drive_bar.levels, r.bundle, self.bundle,
+                r.rest.patches.colours, states, from_, end, self.reverses, r.probe, self.records_bar, Crew(thread, n),
             )  # fmt: skip
 
         if r.threads > 1:

@@ -20,6 +20,9 @@ from cqrun.numerics.packed import aligned
 from cqrun.plugin.contract import Array
 from cqrun.state import Layout
 
+REACTION = 6
+"""Numbers of a reaction: 3 of the force, 3 of the moment; in 2D, some of them are zero."""
+
 MARGIN = 0.5
 """How far nodes may move until points near obstacles are looked for again [cells]."""
 
@@ -62,6 +65,15 @@ class Near(NamedTuple):
     reach: float  # way of nodes that may move a point by the margin [m]
 
 
+class Pushes(NamedTuple):
+    """How much obstacles do to points in a control step, for the obstacles whose reactions are recorded."""
+
+    owner: Array  # (O,) the row of each obstacle's boundary among those that are recorded, else -1
+    per: float  # 1 / substeps
+    sums: Array  # (S, O, 6) force and moment about the world's origin, over the substeps so far
+    mean_bar: Array  # (T, B, 6) in the adjoint, cotangents of the means
+
+
 class Contact(NamedTuple):
     """All of contact with obstacles, and arrays for the numbers of a point in a substep."""
 
@@ -74,9 +86,10 @@ class Contact(NamedTuple):
     v_bar: Array
     friction_bar: Array  # (S, O) of the coefficients, summed over substeps
     bars: SurfaceBars
+    pushes: tuple[Pushes, ...]  # one entry, or none if no reactions of obstacles are recorded
 
 
-for _class in (Surface, Obstacles, Near, Contact):
+for _class in (Surface, Obstacles, Near, Pushes, Contact):
     own_symbols(_class)
 
 
@@ -151,9 +164,19 @@ def make_contact(model: Model, surface: Surface, coefficients: Array, n_threads:
         Contact(
             surface, Obstacles(make_solids(solids), begin, friction, dashpot, rubs, int(rubs.any())), near,
             np.zeros(n_threads, np.int64), force, u_bar, v_bar, np.zeros((n, len(model.obstacles))),
-            zero_bars(surface.points, False),
+            zero_bars(surface.points, False), make_pushes(model, n),
         ),
     )  # fmt: skip
+
+
+def make_pushes(model: Model, n_points: int) -> tuple[Pushes, ...]:
+    """Return one entry, or none if no reactions of obstacles are recorded."""
+    names = [model.conditions[obstacle.condition].name for obstacle in model.obstacles]
+    if not set(names) & set(model.reactions):
+        return ()
+    owner = np.array([model.reactions.index(name) if name in model.reactions else -1 for name in names])
+    mean_bar = np.zeros((model.n_controls, len(model.reactions), REACTION))
+    return (Pushes(owner, 1.0 / model.substeps, np.zeros((n_points, len(names), REACTION)), mean_bar),)
 
 
 def growth_of(points: Points) -> float:

@@ -39,14 +39,21 @@ def make_contacts(model: Model, rest: RestGeometry, inputs: Inputs, n_threads: i
     )
 
 
-def with_own_bars(contacts: Contacts, inputs: Inputs) -> Contacts:
-    """Return contacts with cotangents of friction and of the points at rest of their own, zero."""
+def with_own_bars(contacts: Contacts, inputs: Inputs, mean_bar: Array) -> Contacts:
+    """Return contacts with cotangents of friction and of the points at rest of their own, zero.
+
+    `mean_bar` (T, B, 6) has the cotangents of the reactions.
+    """
 
     def renewed(each: Any) -> Any:
         bars = zero_bars(each.surface.points, inputs.shaped)
         return each._replace(friction_bar=np.zeros_like(each.friction_bar), bars=bars)
 
-    return Contacts(*(tuple(renewed(each) for each in kind) for kind in contacts))
+    def pushed(each: Any) -> Any:
+        return each._replace(pushes=tuple(pushes._replace(mean_bar=mean_bar) for pushes in each.pushes))
+
+    obstacles = tuple(pushed(renewed(each)) for each in contacts.obstacles)
+    return Contacts(obstacles, tuple(renewed(each) for each in contacts.bodies))
 
 
 def rest_bars(contacts: Contacts, rollout: Any) -> tuple[Array, Array]:

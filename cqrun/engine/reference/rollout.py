@@ -23,6 +23,7 @@ from cqrun.engine.reference.ghost import GAMMA, Ghost, kernel_ghost, mean_modulu
 from cqrun.engine.reference.history import make_histories, put_histories, rows_of_state
 from cqrun.engine.reference.look import look
 from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, progress
+from cqrun.engine.reference.reactions import Reactions, make_reactions, reactions_by_name, rows_of_impulses
 from cqrun.engine.reference.rest import rest_geometry
 from cqrun.engine.reference.setting import TILE, NodeRun, Nodes, NodeSetting, Tiles
 from cqrun.engine.reference.step import advance, note
@@ -81,8 +82,9 @@ class ReferenceRollout(Rollout):
         )
         self.ghosts = self._make_ghosts()
         self.bundle = self._make_run()
-        self.histories = make_histories(model, self.groups, self._rows_of_motion())
         self.moves = self._make_moves()
+        self.reactions = self._make_reactions()
+        self.histories = make_histories(model, self.groups, self._rows_of_motion())
         self.start = self._make_start()
         self.kept_because = self._why_kept()
         self.reversible = not self.kept_because
@@ -131,10 +133,17 @@ class ReferenceRollout(Rollout):
         nodes, plane, arm = moving_nodes(model, self.bundle.nodes.bits, patches.positions(model.dx))
         return (Moves(nodes, plane, arm, poses(model, self.inputs.moves, self.shares)),)
 
+    def _make_reactions(self) -> tuple[Reactions, ...]:
+        """Return what boundaries do to the bodies, or none if it is not recorded."""
+        patches = self.rest.patches
+        first = patches.n_nodes + -(-self.model.n_springs // 2)
+        X, bits = patches.positions(self.model.dx), self.bundle.nodes.bits
+        return make_reactions(self.model, bits, X, self.contacts.obstacles, first)
+
     def _make_start(self) -> Array:
         """Return the state at the start: no displacement, the particles' momentum on the nodes, and relaxed springs.
 
-        It is (2, M + E + H, 4); M nodes are followed by E rows of springs and H rows of histories.
+        It is (2, M + E + H, 4); M nodes are followed by E rows of springs and impulses, and H rows of histories.
         """
         state, m, dim = self.inputs.state, self.inputs.fields.mass, self.model.dim
         n_nodes = self.rest.patches.n_nodes
@@ -154,8 +163,9 @@ class ReferenceRollout(Rollout):
         return start
 
     def _rows_of_motion(self) -> int:
-        """Return how many rows of a state are of nodes and springs."""
-        return self.rest.patches.n_nodes + -(-self.model.n_springs // 2)
+        """Return how many rows of a state are of nodes, springs and impulses."""
+        rows = self.rest.patches.n_nodes + -(-self.model.n_springs // 2)
+        return rows + rows_of_impulses(self.reactions)
 
     def _why_kept(self) -> str:
         """Return why the state before a substep does not follow from the one after it; empty if it does."""
@@ -197,7 +207,7 @@ class ReferenceRollout(Rollout):
                 return super().gradients(loss_bars)
         self.plan = self._backwards_plan()
         self.final = current[0]
-        records = Records.from_rows(self.records.copy(), self.model.layout.table)
+        records = self.read_records()
         final = self.unpack(self.final, self.model.n_controls)
         sweeps = [self._reversed_backward(bar) for bar in loss_bars(records, final)]
         for sweep in sweeps:
@@ -234,6 +244,14 @@ class ReferenceRollout(Rollout):
         """Return the backward run that finds each state from the next."""
         return ReferenceBackward(self, loss_bar, reverses=True)
 
+    def read_records(self) -> Records:
+        """Return the probe's records so far, with the reactions of the boundaries that are recorded."""
+        return replace(super().read_records(), held=reactions_by_name(self.reactions, self.model))
+
+    def held_at(self, control: int) -> dict[str, Array]:
+        """Return force and moment of every recorded boundary in the control step that ended at `control`, by name."""
+        return {name: rows[control] for name, rows in reactions_by_name(self.reactions, self.model).items()}
+
     def _record_start(self) -> None:
         crew = Crew(0, 1)
         note(self.bundle, self.start[0], self.start[1], self.probe, self.records[0], crew)
@@ -250,8 +268,9 @@ class ReferenceRollout(Rollout):
 
         def body(thread: int, to: int = end, n: int = self.threads) -> int:
             reached: int = advance(
-                self.parts, self.histories, self.conditions, self.loads, self.ghosts, self.moves, self.contacts,
-                self.drive, self.bundle, colours, states, begin, to, keep, self.probe, self.records, Crew(thread, n),
+                self.parts, self.histories, self.conditions, self.loads, self.ghosts, self.moves, self.reactions,
+                self.contacts, self.drive, self.bundle, colours, states, begin, to, keep, self.probe, self.records,
+                Crew(thread, n),
             )  # fmt: skip
             return reached
 

@@ -22,6 +22,15 @@ from cqrun.engine.reference.look import look, look_vjp
 from cqrun.engine.reference.moves import bring_back_pairs, carry_each, carry_each_vjp
 from cqrun.engine.reference.nodes import begin_vjp, end_vjp, kick
 from cqrun.engine.reference.outside import spread_forces, spread_forces_vjp
+from cqrun.engine.reference.reactions import (
+    add_up_each,
+    before_each_vjp,
+    clear_sums_each,
+    forces_each_vjp,
+    impulses_each_vjp,
+    note_before_each,
+    note_impulses_each,
+)
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
 from cqrun.engine.reference.stretch import watch_stretch
 from cqrun.engine.reference.sweep import press_each, press_each_vjp
@@ -53,15 +62,16 @@ def find_stray(run: NodeRun, u: Array, crew: Crew) -> None:
 
 @kernel
 def advance(
-    parts: Any, histories: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Contacts, drive: Drive,
-    run: NodeRun, colours: Array, states: Array, begin: int, end: int, keep: bool, probe: Probe, records: Array,
-    crew: Crew,
+    parts: Any, histories: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, reactions: Any,
+    contacts: Contacts, drive: Drive, run: NodeRun, colours: Array, states: Array, begin: int, end: int, keep: bool,
+    probe: Probe, records: Array, crew: Crew,
 ) -> int:  # fmt: skip
     """Run substeps begin .. end from states[0]; return the substep reached.
 
     With `keep`, states[k] becomes the state after k substeps; otherwise states[0] is overwritten. A state has the
-    displacements and the velocities of the nodes, after them the springs of contact, and then the histories,
-    (2, M + E + H, 4). Record at the end of every control step, and stop there if a node is not finite (`run.stray`).
+    displacements and the velocities of the nodes, after them the springs of contact and the impulses of reactions, and
+    then the histories, (2, M + E + H, 4). Record at the end of every control step, and stop there if a node is not
+    finite (`run.stray`).
 
     Args:
         parts: groups with their first and last bodies.
@@ -69,6 +79,7 @@ def advance(
         loads: forces on points, as in `forces.py`.
         ghosts: the ghost penalty, or none.
         moves: the nodes of boundaries that move, or none.
+        reactions: what boundaries do to the bodies, or none.
         contacts: what bodies touch.
     """
     substeps = run.setting.substeps
@@ -79,18 +90,22 @@ def advance(
         control = step // substeps
         if step % substeps == 0 or step == begin:
             begin_control(drive, run, colours, control, crew)
+            clear_sums_each(reactions, run, step, crew)
         u, v = states[here, 0], states[here, 1]
         at = NodeStep(control, u, v, states[after, 1])
         press_each(parts, run, u, v, colours, crew)
         pull_each(loads, drive, run, at, crew)
         haunt_each(ghosts, run, u, crew)
         touch_all(contacts, run, at, states[after, 0], keep, crew)
+        note_before_each(reactions, run, at, crew)
         kick(conditions, run, at, states[after, 0], crew)
         barrier(run.arrivals, crew.n_threads)
         carry_each(moves, run, u, states[after, 0], states[after, 1], step, crew)
+        note_impulses_each(reactions, run, at, states[after, 0], step, keep, crew)
         write = keep or step + 1 == end
         remember_each(histories, run, states[after, 0], states[after, 1], colours, write, crew)
         if (step + 1) % substeps == 0:
+            add_up_each(reactions, run, step, crew)
             find_stray(run, states[after, 0], crew)
             if run.stray[0] >= 0:
                 return step + 1
@@ -154,15 +169,15 @@ def see_vjp(
 
 @kernel
 def reverse(
-    pairs: Any, histories: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Contacts, drive: Drive,
-    stresses: Any, levels_bar: Levels, run: NodeRun, bars: NodeBars, colours: Array, states: Array, begin: int,
-    end: int, reversed_: bool, probe: Probe, records_bar: Array, crew: Crew,
+    pairs: Any, histories: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, reactions: Any,
+    contacts: Contacts, drive: Drive, stresses: Any, levels_bar: Levels, run: NodeRun, bars: NodeBars, colours: Array,
+    states: Array, begin: int, end: int, reversed_: bool, probe: Probe, records_bar: Array, crew: Crew,
 ) -> None:  # fmt: skip
     """Run the adjoints of substeps end - 1 .. begin.
 
     states[k] is the state of substep begin + k; if `reversed_`, states[0] is that of substep `end`, and becomes that of
-    `begin`. `pairs`, `histories` and `stresses` are the parts, the histories and the active stresses, each with its
-    cotangent.
+    `begin`. `pairs`, `histories`, `moves`, `reactions` and `stresses` are the parts, the histories and so on, each with
+    its cotangent.
     """
     substeps = run.setting.substeps
     recall_each(histories, run, bars.q, bars.u, bars.v, crew)
@@ -177,9 +192,11 @@ def reverse(
             begin_control(drive, run, colours, control, crew)
         at = NodeStep(control, states[here, 0], states[here, 1], states[after, 1])
         remember_each_vjp(histories, run, bars, at, states[after, 0], colours, crew)
+        impulses_each_vjp(reactions, run, bars, at, states[after, 0], reversed_, crew)
         carry_each_vjp(moves, run, bars, step, crew)
         begin_vjp(conditions, run, bars, at, states[after, 0], reversed_, crew)
         barrier(run.arrivals, crew.n_threads)
+        forces_each_vjp(reactions, run, bars, crew)
         press_each_vjp(pairs, run, bars, at.v, colours, crew)
         pull_each_vjp(loads, drive, levels_bar, run, bars, at, crew)
         haunt_each_vjp(ghosts, run, bars, crew)
@@ -189,6 +206,7 @@ def reverse(
         if reversed_:
             bring_back_pairs(moves, run, at.v, step, crew)
         touch_rates_all_vjp(contacts, run, bars, crew)
+        before_each_vjp(reactions, run, bars, at, states[after, 0], reversed_, crew)
         if step % substeps == 0 or step == begin:
             spread_forces_vjp(run, bars, crew)
             if crew.thread == 0:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from cqrun.boundaries.solid import ZERO, signed_distance
-from cqrun.engine.reference.contact import Contact, Obstacles
+from cqrun.boundaries.solid import ZERO, cross, signed_distance
+from cqrun.engine.reference.contact import Contact, Obstacles, Pushes
 from cqrun.engine.reference.facet import row
 from cqrun.engine.reference.movers import (
     add_weight_bars,
@@ -27,7 +27,7 @@ from cqrun.engine.reference.movers import (
 from cqrun.engine.reference.rub import push, push_vjp, rub, rub_vjp
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
 from cqrun.engine.setting import Crew
-from cqrun.numerics.compile import barrier, for_each, kernel, share
+from cqrun.numerics.compile import barrier, for_each, for_one, kernel, share
 from cqrun.numerics.tensor import add, dot, scale, sub
 from cqrun.plugin.contract import Array
 
@@ -100,6 +100,67 @@ def press_point(contact: Contact, s: int, x: Any, v: Any, spring: Any, dt: float
 
 
 @kernel
+def note_push(pushes: Pushes, contact: Contact, s: int, x: Any, v: Any, after: Any) -> None:
+    """Add what each obstacle does to a point in a substep to the sums; see `press_point`."""
+    surface, obstacles, deepest, rubs = contact.surface, contact.obstacles, 0.0, -1
+    K, Z, h0 = surface.stiffness[s], surface.impedance[s], surface.onset
+    for o in range(len(obstacles.dashpot)):
+        d, n, _, _ = to_surface(obstacles, o, x)
+        if d < 0.0:
+            N = push(K, Z * obstacles.dashpot[o], h0, -d, -dot(n, v))
+            if N > 0.0:
+                add_push(pushes, s, o, x, scale(n, N))
+                if obstacles.rubs[o] and -d > deepest:
+                    deepest, rubs = -d, o
+    if rubs >= 0:
+        add_push(pushes, s, rubs, x, scale(after, -K))
+
+
+@kernel
+def add_push(pushes: Pushes, s: int, o: int, x: Any, f: Any) -> None:
+    """Add a force at x, and its moment about the world's origin."""
+    moment = cross(x, f)
+    for d in range(3):
+        pushes.sums[s, o, d] += f[d]
+        pushes.sums[s, o, 3 + d] += moment[d]
+
+
+@kernel
+def force_bar_of(pushes: Pushes, force_bar: Any, o: int, x: Any, control: int) -> Any:
+    """Return the cotangent of an obstacle's force on a point at x: that of the point, and that of its reaction."""
+    if pushes.owner[o] < 0:
+        return force_bar
+    R = pushes.mean_bar[control, pushes.owner[o]]
+    more = add((R[0], R[1], R[2]), cross((R[3], R[4], R[5]), x))
+    return add(force_bar, scale(more, pushes.per))
+
+
+@kernel
+def place_bar_of(pushes: Pushes, x_bar: Any, o: int, f: Any, control: int) -> Any:
+    """Return the cotangent of a point's position with that of the arm of an obstacle's force."""
+    if pushes.owner[o] < 0:
+        return x_bar
+    R = pushes.mean_bar[control, pushes.owner[o]]
+    return add(x_bar, scale(cross(f, (R[3], R[4], R[5])), pushes.per))
+
+
+@kernel
+def same_force_bar(force_bar: Any, o: int, x: Any, control: int) -> Any:
+    """Return what `force_bar_of` returns if no reactions are recorded."""
+    return force_bar
+
+
+@kernel
+def same_place_bar(x_bar: Any, o: int, f: Any, control: int) -> Any:
+    """Return what `place_bar_of` returns if no reactions are recorded."""
+    return x_bar
+
+
+note_push_each = for_each(note_push)
+own_force_bar, own_place_bar = for_one(force_bar_of, same_force_bar), for_one(place_bar_of, same_place_bar)
+
+
+@kernel
 def touch(contact: Contact, run: NodeRun, at: NodeStep, u_next: Array, keep: bool, crew: Crew) -> None:
     """Add the forces of obstacles to `run.force`, and write the springs after the substep."""
     surface, obstacles, near, first = contact.surface, contact.obstacles, contact.near, len(run.nodes.mass)
@@ -116,6 +177,7 @@ def touch(contact: Contact, run: NodeRun, at: NodeStep, u_next: Array, keep: boo
             spring = load_spring(at.u, at.v, first, s)
         force, after, slid = press_point(contact, s, x, v, spring, run.setting.dt)
         put(contact.force, s, force)
+        note_push_each(contact.pushes, contact, s, x, v, after)
         if obstacles.springs > 0:
             store_spring(u_next, at.v_next, first, s, after)
         if slid:
@@ -137,9 +199,12 @@ def relax_others(contact: Contact, first: int, u: Array, v: Array, crew: Crew) -
 
 @kernel
 def press_point_vjp(
-    contact: Contact, s: int, x: Any, v: Any, spring: Any, dt: float, force_bar: Any, after_bar: Any
+    contact: Contact, s: int, x: Any, v: Any, spring: Any, dt: float, control: int, force_bar: Any, after_bar: Any
 ) -> Any:
-    """Return (x_bar, v_bar, spring_bar), and add to the cotangents of the coefficients of friction."""
+    """Return (x_bar, v_bar, spring_bar), and add to the cotangents of the coefficients of friction.
+
+    The cotangents of reactions in this control step count, too.
+    """
     surface, obstacles = contact.surface, contact.obstacles
     K, Z, h0 = surface.stiffness[s], surface.impedance[s], surface.onset
     x_bar, v_bar, spring_bar, deepest, rubs, pressed = ZERO, ZERO, ZERO, 0.0, -1, 0.0
@@ -157,20 +222,24 @@ def press_point_vjp(
         if not push(K, C, h0, -d, rate) > 0.0:
             continue
         N_bar, n_bar = 0.0, ZERO
+        own_bar = own_force_bar(contact.pushes, force_bar, o, x, control)
+        f = scale(n, push(K, C, h0, -d, rate))
         if o == rubs:
             mu = obstacles.coefficient[o]
-            out_bar = sub(after_bar, scale(force_bar, K))
+            out_bar = sub(after_bar, scale(own_bar, K))
+            f = sub(f, scale(rub(K, mu, pressed, dt, n, v, spring), K))
             mu_bar, N_bar, n_bar, more, spring_bar = rub_vjp(K, mu, pressed, dt, n, v, spring, out_bar)
             contact.friction_bar[s, o] += mu_bar
             v_bar = add(v_bar, more)
         N = push(K, C, h0, -d, rate)
-        N_bar += dot(n, force_bar)
-        n_bar = add(n_bar, scale(force_bar, N))
+        N_bar += dot(n, own_bar)
+        n_bar = add(n_bar, scale(own_bar, N))
         h_bar, rate_bar = push_vjp(K, C, h0, -d, rate, N_bar)
         v_bar = sub(v_bar, scale(n, rate_bar))
         n_bar = sub(n_bar, scale(v, rate_bar))
         turned = sub(sub(n_bar, scale(n, dot(n, n_bar))), scale(t, dot(t, n_bar)))
         x_bar = add(x_bar, sub(scale(turned, alpha), scale(n, h_bar)))
+        x_bar = own_place_bar(contact.pushes, x_bar, o, f, control)
     return x_bar, v_bar, spring_bar
 
 
@@ -195,7 +264,9 @@ def touch_vjp(contact: Contact, run: NodeRun, bars: NodeBars, at: NodeStep, reve
             spring, after_bar = load_spring(at.u, at.v, first, s), load_spring(bars.u, bars.v, first, s)
         if reversed_:
             put(contact.force, s, press_point(contact, s, x, v, spring, run.setting.dt)[0])
-        x_bar, v_bar, spring_bar = press_point_vjp(contact, s, x, v, spring, run.setting.dt, force_bar, after_bar)
+        x_bar, v_bar, spring_bar = press_point_vjp(
+            contact, s, x, v, spring, run.setting.dt, at.control, force_bar, after_bar
+        )
         if len(contact.bars.rest) > 0:
             force = press_point(contact, s, x, v, spring, run.setting.dt)[0]
             add_weight_bars(surface.points, contact.bars, s, at, bars.pairs, x_bar, v_bar, force)

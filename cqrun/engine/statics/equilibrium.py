@@ -76,7 +76,7 @@ class Equilibrium:
         if model.layout.history:
             names = ", ".join(field.name for field in model.layout.history)
             raise ValueError(f"a material with a history ({names}) has no equilibrium of its own")
-        alone = replace(model, surface=None, obstacles=())  # contact is not felt at rest
+        alone = replace(model, surface=None, obstacles=(), reactions=())  # contact is not felt at rest
         self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
         self.control, self.run = control, self.rollout.bundle
         self.dim, self.n_nodes = model.dim, len(self.run.nodes.mass)

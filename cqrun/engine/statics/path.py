@@ -59,12 +59,12 @@ class Found(NamedTuple):
 class RestRecords(Records):
     """What is known of the rest shape and of every point of a path, or the cotangent of it.
 
+    `held` has the force [N] and the moment [N m] of every boundary (P + 1, D + 1) or (P + 1, 6); zero in row 0.
+
     Attributes:
-        held: (P + 1, D + 1) or (P + 1, 6): force [N] and moment [N m] of every boundary, by its name; zero in row 0.
         found: the equilibria of all points, from which a path with other inputs can start.
     """
 
-    held: dict[str, Array] = field(default_factory=dict)
     found: list[Found] = field(default_factory=list)
 
     @classmethod
@@ -74,14 +74,8 @@ class RestRecords(Records):
 
     def zeros_like(self) -> RestRecords:
         """Return zero records of the same shapes."""
-        held = {name: np.zeros_like(rows) for name, rows in self.held.items()}
-        return RestRecords.joined(super().zeros_like(), held)
-
-    def add(self, other: Records) -> None:
-        """Add other records to these."""
-        super().add(other)
-        for name, rows in (other.held if isinstance(other, RestRecords) else {}).items():
-            self.held[name] += rows
+        zero = super().zeros_like()
+        return RestRecords.joined(zero, zero.held)
 
 
 class RestPath:
@@ -209,7 +203,7 @@ class RestPath:
         """Return the cotangent of every point's inputs from that of the records (row 0, the rest shape, has none)."""
         table, dim = self.start.rollout.model.layout.table, self.model.dim
         bars = records_bar.to_rows(table)
-        held = records_bar.held if isinstance(records_bar, RestRecords) else {}
+        held = records_bar.held
         out = []
         for k, (point, inputs) in enumerate(zip(self.points, self.inputs, strict=True), start=1):
             of_point = {name: (rows[k, :dim], rows[k, dim:]) for name, rows in held.items() if rows[k].any()}

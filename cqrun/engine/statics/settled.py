@@ -41,8 +41,8 @@ class SettledRollout(ReferenceRollout):
                 f"`start: equilibrium`: no equilibrium was found under the first loads (residual {rest.residual:.1e}); "
                 "`cqrun rest` shows how far a path of loads gets"
             )
-        start = aligned((2, self.rest.patches.n_nodes, 4), model.real)
-        start[0] = rest.u
+        start = aligned((2, self._rows_of_motion(), 4), model.real)
+        start[0, : self.rest.patches.n_nodes] = rest.u
         self.free_start = np.zeros((self.rest.patches.n_nodes, model.dim))
         return start
 
@@ -60,7 +60,8 @@ class SettledBackward(ReferenceBackward):
     def inputs_bar(self) -> Inputs:
         """Return the cotangent of the inputs."""
         bar, first = super().inputs_bar(), self.rollout.first
-        static, solve = first.gradient_of_nodes(self.rollout.start[0], self.q_bar[0])
+        nodes = slice(self.rollout.rest.patches.n_nodes)
+        static, solve = first.gradient_of_nodes(self.rollout.start[0, nodes], self.q_bar[0, nodes])
         if not solve.converged:
             raise RunError("the adjoint of the equilibrium that the motion starts from was not found: see `cqrun rest`")
         static.activation = np.concatenate(
