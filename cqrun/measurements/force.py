@@ -78,8 +78,9 @@ class Force(Reaction):
     """A component of the force with which a boundary holds the bodies, at rest under the loads of each line.
 
     The file is CSV: one line for each equilibrium, with the measured force and a column for each load. The force of a
-    boundary is the sum over the nodes that it holds; a node that several boundaries hold counts for the first. The
-    scene needs `world.frame: reference`.
+    boundary is the sum over the nodes that it holds. Of a node that several boundaries hold, a `slip` takes the force
+    along its normal, and a `sticky` the rest; of two `sticky` ones the first takes all. The scene needs
+    `world.frame: reference`.
     """
 
     quantity: ClassVar[str] = "force"
