@@ -158,6 +158,25 @@ class Equilibrium:
         rest = find_rest(self, start, load, tolerance)
         return self._judged(rest) if rest.converged and (judge or self.coarse is not None) else rest
 
+    def smallest_eigenvalue(self, u: Array) -> float:
+        """Return the smallest eigenvalue of the stiffness at a displacement, relative to its blocks; NaN if unknown.
+
+        It is that of the coarse space, and so an upper bound; it is negative where the equilibrium is not stable.
+        """
+        self.linearise(u)
+        self._make_coarse()
+        if self.coarse is None or not self.coarse.moves:
+            return float("nan")
+        return self.coarse.smallest(np.linalg.inv(self.inverse), self.run.nodes.active)
+
+    def first_step(self, u: Array) -> Array:
+        """Return the change to the equilibrium from a displacement (M, 4) near it, to first order."""
+        change = self.carried - (u - self._freed(u))
+        net = self.net(u)
+        self.linearise(u)
+        pull = net - self.product(change)
+        return np.asarray(change + conjugate_gradients(self.product, pull, self.precondition, 1e-2, MOST_PRODUCTS).x)
+
     def load(self) -> float:
         """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
 
@@ -304,14 +323,19 @@ class Equilibrium:
         return self.coarse.prepare(self.A, r.ghosts, pulled, self.volumes)
 
     def _judged(self, rest: Rest) -> Rest:
-        """Return a rest with the smallest eigenvalue there, and whether one is negative, in the coarse space."""
-        self.linearise(rest.u)
-        if not self._make_coarse():
-            return replace(rest, negative=True)
-        if self.coarse is None:
-            return rest
-        smallest = self.coarse.smallest(np.linalg.inv(self.inverse), self.run.nodes.active)
-        return replace(rest, smallest=smallest)
+        """Return a rest with the smallest eigenvalue there, and whether one is negative.
+
+        The coarse space may see none where the fine one does. Then the eigenvalue is not known.
+        """
+        smallest = self.smallest_eigenvalue(rest.u)
+        if np.isnan(smallest):
+            return replace(rest, smallest=smallest if rest.negative else rest.smallest)
+        if smallest <= 0.0 or not rest.negative:
+            return replace(rest, negative=smallest <= 0.0, smallest=smallest)
+        some = np.random.default_rng(0).normal(size=rest.u.shape) * (self.run.nodes.mass > 0)[:, None]
+        some[:, self.dim :] = 0.0
+        found = conjugate_gradients(self.product, self._freed(some), self.precondition, 1e-6, MOST_PRODUCTS)
+        return replace(rest, negative=found.negative, smallest=float("nan") if found.negative else smallest)
 
     def _carried(self) -> Array:
         """Return where boundaries carry their nodes: the displacement of held nodes (M, 4), zero elsewhere."""
