@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
-from cqrun.build.alignment import HOLDS, grid_offset
+from cqrun.build.alignment import HOLDS
+from cqrun.build.check_holds import reached_nodes, unheld_problems
 from cqrun.build.contact import unknown_surfaces
 from cqrun.build.history import remembering
 from cqrun.build.particles import Particles
@@ -14,16 +13,16 @@ from cqrun.build.reactions import boundaries_by_user
 from cqrun.build.volumes import volume_problems
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.reference.held import held_nodes
-from cqrun.engine.reference.patches import make_patches
 from cqrun.errors import Problem
 from cqrun.explain import listed
-from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
 PER_AXIS = 2
 """Particles in a cell along each axis, at least: with one, nodes can move in ways that no particle feels."""
 
 ROUNDING = 1e-6
+
+TOO_COARSE = "is {}, too coarse for bodies at rest: use float64"
 
 WAY_OUT = "use `world.frame: updated`"
 
@@ -40,7 +39,10 @@ def frame_problems(scene: Scene, particles: Particles, conditions: Sequence[Cond
         *volume_problems(scene),
         *_at_rest(scene),
     ]
-    return [Problem(scene.where(path), path, message) for path, message in found]
+    problems = [Problem(scene.where(path), path, message) for path, message in found]
+    if scene.start == "equilibrium" and not problems:
+        problems = unheld_problems(scene, particles, conditions)
+    return problems
 
 
 def _elsewhere(scene: Scene) -> Iterator[tuple[str, str]]:
@@ -68,6 +70,8 @@ def _at_rest(scene: Scene) -> Iterator[tuple[str, str]]:
             yield path, f"the stress of `{name}` has a history, and so no equilibrium: remove it, or `start`"
         if scene.bodies_meet:
             yield "start", "bodies do not feel each other in an equilibrium yet: use one body, or remove `start`"
+        if scene.precision != "float64":
+            yield "precision", TOO_COARSE.format(scene.precision)
         for name, body in scene.bodies.items():
             for key in ("velocity", "spin"):
                 if any(getattr(body, key)):
@@ -86,7 +90,7 @@ def touched(scene: Scene) -> Iterator[tuple[str, str]]:
 
 def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[tuple[str, str]]:
     """Yield clamps that hold no particle: a body that reaches them later would not feel them."""
-    reached = _reached_nodes(scene, particles)
+    reached = reached_nodes(scene, particles).X
     for name, chosen in scene.boundaries.items():
         planes = [plane for plane in conditions if plane.name == name]
         if chosen.name in HOLDS and not held_nodes(planes, reached).bits.any():
@@ -99,17 +103,6 @@ def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionMod
                     f"or `separate`, which bodies touch, or {WAY_OUT}"
                 ),
             )
-
-
-def _reached_nodes(scene: Scene, particles: Particles) -> Array:
-    """Return the positions of all nodes that particles reach (M, D) [m]."""
-    dx = scene.world.dx
-    patches = make_patches(particles.layout, particles.x, dx, grid_offset(scene, particles))
-    reached = np.zeros(patches.n_nodes, bool)
-    steps = np.stack(np.meshgrid(*[np.arange(3)] * scene.dim, indexing="ij"), -1).reshape(-1, scene.dim)
-    for step in steps @ np.array(patches.strides[3 - scene.dim :]):
-        reached[patches.first + step] = True
-    return patches.positions(dx)[reached]
 
 
 def _thin(scene: Scene, particles: Particles) -> Iterator[tuple[str, str]]:

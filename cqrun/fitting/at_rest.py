@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from cqrun.build.check_holds import held_problem
 from cqrun.build.history import remembering
 from cqrun.build.load_path import checked_key, inputs_of
 from cqrun.build.model import Built
@@ -113,16 +114,6 @@ def _require_held(built: Built, points: Sequence[Mapping[str, float]]) -> None:
     loose = RestPath(built.model, [inputs_of(built, points[0])]).loose
     if loose:
         raise SceneError([held_problem(scene, body, ways) for body, ways in loose.items()])
-
-
-def held_problem(scene: Scene, body: str, ways: int) -> Problem:
-    """Return the problem of a body that can move in so many ways without resistance."""
-    path = f"bodies.{body}"
-    message = (
-        f"nothing holds it: it can move in {ways} way{'s' if ways > 1 else ''} without resistance, so it has no "
-        "place of rest; add a `sticky` boundary that holds some of its particles"
-    )
-    return Problem(scene.where(path), path, message)
 
 
 def _require_free(built: Built, comparison: RestComparison) -> None:

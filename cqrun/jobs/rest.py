@@ -8,13 +8,15 @@ result.json       every point, findings
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cqrun.build.check_frame import touched
+from cqrun.build.check_frame import TOO_COARSE, touched
+from cqrun.build.check_holds import unheld_problems
 from cqrun.build.history import remembering
 from cqrun.build.load_path import inputs_of, points_of
 from cqrun.build.model import Built
@@ -23,7 +25,6 @@ from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.newton import Rest
 from cqrun.engine.statics.path import Point, RestPath
 from cqrun.errors import Problem, SceneError, StopAsked
-from cqrun.fitting.at_rest import held_problem
 from cqrun.jobs.job import NO_FILES, Job
 from cqrun.running.bodies import report_bodies, resolved_lines
 from cqrun.running.reporter import Reporter
@@ -34,6 +35,9 @@ from cqrun.scene.schema import Scene
 from cqrun.store.rest_points import delete_points, read_point, write_point
 from cqrun.store.result import RestPoint, RestResult, write_result
 from cqrun.store.run import RunDirectory
+
+TOLERANCE = 1e-8
+"""Net force divided by the loads at which a point counts as found."""
 
 NEAR = 0.02
 """A smallest eigenvalue below this part of its largest along the path is reported: a limit point is near."""
@@ -58,7 +62,12 @@ class RestJob(Job[Resting, RestResult]):
         if problems:
             raise SceneError([Problem(scene.where(path), path, message) for path, message in problems])
         built = build_and_warn(scene, talk)
-        return Resting(built, tuple(points_of(built)), threads)
+        idle = [Problem(scene.where(path), path, message) for path, message in _idle(scene)]
+        for problem in idle:
+            talk.warn(str(problem))
+        if unheld := unheld_problems(scene, built.particles, built.model.conditions):
+            raise SceneError(unheld)
+        return Resting(replace(built, warnings=(*built.warnings, *idle)), tuple(points_of(built)), threads)
 
     def reads_data(self, scene: Scene) -> bool:
         """Return False: rest reads no recordings."""
@@ -72,8 +81,7 @@ class RestJob(Job[Resting, RestResult]):
         count = f"{len(points)} point{'s' if len(points) > 1 else ''}"
         talk.phase(f"finding the rest of {built.model.layout.n_particles:,} particles: {count}")
         inputs = [inputs_of(built, point) for point in points]
-        path = RestPath(built.model, inputs, threads=prepared.threads, judge=True)
-        _require_held(built, path)
+        path = RestPath(built.model, inputs, threads=prepared.threads, tolerance=TOLERANCE, judge=True)
         found: list[RestPoint] = []
         rows = RestTable(built, points)
         with rest_frames(run.path / "trajectory.h5", built, len(points)) as writer:
@@ -98,14 +106,16 @@ class RestJob(Job[Resting, RestResult]):
                 raise talk.stop.stopped(f"{message}; `cqrun resume {run.path}` goes on") from None
             if not found[-1].converged:
                 writer.abandon()
-        self._end(run, built, found, talk)
+        unloaded = path.start.smallest_eigenvalue(path.rest_shape)
+        self._end(run, built, found, [*_findings(found, unloaded)], talk)
 
-    def _end(self, run: RunDirectory, built: Built, found: list[RestPoint], talk: Reporter) -> None:
+    def _end(
+        self, run: RunDirectory, built: Built, found: list[RestPoint], findings: list[str], talk: Reporter
+    ) -> None:
         """Write the result."""
         lost = None if found[-1].converged else len(found)
         message = f"{len(found)} point{'s' if len(found) > 1 else ''} at rest" if lost is None else _lost(found)
         status = "done" if lost is None else "failed"
-        findings = list(_findings(found))
         for sentence in findings:
             talk.warn(sentence)
             run.log(sentence)
@@ -150,22 +160,40 @@ def _needs_time(scene: Scene) -> Iterator[tuple[str, str]]:
         yield "bodies", "bodies do not feel each other in an equilibrium yet: find that of one body alone"
     if scene.controller is not None:
         yield "controller", "a controller acts in time: remove it, and give activations in `path`"
+    if scene.precision != "float64":
+        yield "precision", TOO_COARSE.format(scene.precision)
 
 
-def _require_held(built: Built, path: RestPath) -> None:
-    """Raise a SceneError for bodies that could move without any resistance."""
-    if path.loose:
-        raise SceneError([held_problem(built.scene, name, ways) for name, ways in path.loose.items()])
+def _idle(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield what the scene says about motion, and has no effect at rest."""
+    for name, body in scene.bodies.items():
+        for key in ("velocity", "spin"):
+            if any(getattr(body, key)):
+                yield f"bodies.{name}.{key}", "has no effect at rest: `cqrun rest` finds where nothing moves"
+        if "viscosity" in body.material.terms:
+            yield f"bodies.{name}.material.viscosity", "has no effect at rest, where no velocity is"
+    for name, chosen in scene.loads.items():
+        if chosen.name == "damping":
+            yield f"loads.{name}.damping", "has no effect at rest, where no velocity is"
+    for name, chosen in scene.boundaries.items():
+        if getattr(chosen.value, "over", None) is not None:
+            path = f"boundaries.{name}.{chosen.name}.over"
+            yield path, "has no effect at rest: `cqrun rest` carries the boundary to its place at once"
 
 
 def _facts(point: Point) -> dict[str, Any]:
     rest = point.rest
-    smallest = None if not np.isfinite(rest.smallest) else float(rest.smallest)
+    smallest = _or_none(rest.smallest)
     residual = float(rest.residual) if np.isfinite(rest.residual) else 1e300
     return {
         "converged": rest.converged, "residual": residual, "steps": rest.steps, "products": point.products,
         "negative": rest.negative, "smallest": smallest, "halvings": point.halvings, "reached": float(point.reached),
+        "rounded": rest.rounded, "jump": _or_none(point.jump), "jump_at": _or_none(point.jump_at),
     }  # fmt: skip
+
+
+def _or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _known(run: Path, k: int) -> Point | None:
@@ -174,8 +202,11 @@ def _known(run: Path, k: int) -> Point | None:
     if saved is None or not saved[1]["converged"]:
         return None
     u, f = saved
-    rest = Rest(u, f["residual"], f["converged"], f["steps"], f["products"], f["negative"], f["smallest"], False)
-    return Point(rest, f["reached"], f["halvings"], f["products"])
+    rest = Rest(
+        u, f["residual"], f["converged"], f["steps"], f["products"], f["negative"], f["smallest"], False,
+        rounded=f["rounded"],
+    )  # fmt: skip
+    return Point(rest, f["reached"], f["halvings"], f["products"], f["jump"], f["jump_at"])
 
 
 def _lost(found: list[RestPoint]) -> str:
@@ -189,16 +220,51 @@ def _lost(found: list[RestPoint]) -> str:
     )
 
 
-def _findings(found: list[RestPoint]) -> Iterator[str]:
-    """Yield what a user should know about the points."""
+def _findings(found: list[RestPoint], unloaded: float) -> Iterator[str]:
+    """Yield what a user should know about the points; `unloaded` is the smallest eigenvalue at the rest shape."""
     negative = [str(k) for k, p in enumerate(found, start=1) if p.negative and p.converged]
     if negative:
         yield (
             f"at point {', '.join(negative[:5])} the stiffness has a negative eigenvalue: the equilibrium is not "
             "stable, and a real body would leave it"
         )
-    seen = [(p.smallest, k) for k, p in enumerate(found, start=1) if p.smallest is not None]
-    if len(seen) > 2:
-        least, at = min(seen)
-        if least < NEAR * max(seen)[0]:
-            yield f"a limit point is near point {at}: the smallest eigenvalue fell to {least:.1e} of the stiffness"
+    yield from (_snap(found, k) for k, p in enumerate(found) if p.jump is not None)
+    values = [(unloaded, 0), *((p.smallest, k) for k, p in enumerate(found, start=1) if p.converged)]
+    seen = [(value, k) for value, k in values if value is not None and np.isfinite(value)]
+    for (before, k), (after, m) in pairwise(seen):
+        if before > 0.0 >= after or after > 0.0 >= before:
+            yield (
+                f"between {'the rest shape' if k == 0 else f'point {k}'} and point {m} the smallest eigenvalue changes "
+                f"from {before:.1e} to {after:.1e}: between them the body buckles, or has a limit point"
+            )
+    positive = [pair for pair in seen if pair[0] > 0.0]
+    if len(positive) > 1:
+        (least, at), most = min(positive), max(positive)[0]
+        if least < NEAR * most and at > 0:
+            yield (
+                f"a limit point is near point {at}: the smallest eigenvalue of the stiffness fell to {least:.1e}, "
+                f"{100 * least / most:.2g} % of its largest"
+            )
+    for k, p in enumerate(found, start=1):
+        if p.rounded:
+            yield (
+                f"at point {k} rounding ended the search: the residual is {p.residual:.1e} of the loads, and not the "
+                f"{TOLERANCE:.0e} that is asked for; a Poisson's ratio near 0.5 or very small loads do this, and "
+                "gradients have errors of that size"
+            )
+
+
+def _snap(found: list[RestPoint], k: int) -> str:
+    """Return the sentence on the jump of displacement before the point of this index."""
+    point, before = found[k], found[k - 1].values if k else {}
+    assert point.jump is not None
+    assert point.jump_at is not None
+    at = ", ".join(
+        f"{key} = {number(before.get(key, 0.0) + point.jump_at * (value - before.get(key, 0.0)))}"
+        for key, value in point.values.items()
+    )
+    return (
+        f"on the way to point {k + 1}{f', near {at},' if at else ''} the body jumps: a part of it moves by "
+        f"{number(point.jump)} m at once, to another branch of equilibria, as a body that snaps through or folds; "
+        "the points after it are on that branch, and `cqrun simulate` shows the motion"
+    )

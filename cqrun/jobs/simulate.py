@@ -23,7 +23,7 @@ from cqrun.design.params import REGULARISER
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
-from cqrun.errors import RolloutError
+from cqrun.errors import Problem, RolloutError
 from cqrun.jobs.job import NO_FILES, Job
 from cqrun.learning.acting import acting_in, identified_values, make_agent
 from cqrun.learning.agent import FILE, Agent
@@ -73,6 +73,9 @@ class Simulate(Job[Simulation, SimulateResult]):
     def prepare(self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES) -> Simulation:
         """Build a scene, with its controller or one from a file, or with the values that a run of sysid found."""
         built = with_reactions(build_and_warn(scene, talk))
+        if scene.path:
+            message = "has no effect on a motion: `cqrun rest` goes along it"
+            talk.warn(str(Problem(scene.where("path"), "path", message)))
         agent = make_agent(built, files.get(FILE), talk)
         values = identified_values(built, files.get(IDENTIFIED))
         return Simulation(built if agent is None else agent.built, agent, values, threads)

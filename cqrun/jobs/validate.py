@@ -17,6 +17,7 @@ from cqrun.explain import listed
 from cqrun.fitting.case import Case
 from cqrun.fitting.cases import given_cases, is_fit, recording_warnings
 from cqrun.jobs.control import CODESIGN, CONTROL
+from cqrun.jobs.rest import REST
 from cqrun.jobs.sysid import SYSID, with_optimizer
 from cqrun.jobs.table import JOBS
 from cqrun.learning.agent import Agent
@@ -72,6 +73,8 @@ def _prepared(scene: Scene) -> tuple[Built, Agent | None, EpisodeProblem | None,
     if _fits(scene):
         fit = SYSID.prepare(scene, 1, Silent())
         return fit.built, None, None, fit.cases
+    if scene.job == REST.name:
+        return REST.prepare(scene, 1, Silent()).built, None, None, None
     built = build(scene)
     agent = None if scene.controller is None else Agent(built)
     reads_data = scene.job is None or JOBS[scene.job].reads_data(scene)

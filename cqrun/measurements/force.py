@@ -141,8 +141,9 @@ class Force(Reaction):
 
     The file is CSV with the measured force. At rest, each line is an equilibrium, with a column for each load. In
     motion, `time` names the column with the times; the model's force is the mean over each control step, at the middle
-    of the step, and linear between. The force of a boundary is the sum over the nodes that it holds, where a node that
-    several boundaries hold counts for the first, or over the points that touch it. The scene needs
+    of the step, and linear between. The force of a boundary is the sum over the nodes that it holds, or over the points
+    that touch it. Of a node that several boundaries hold, a `slip` takes the force along its normal, and a `sticky` the
+    rest; of two `sticky` ones the first takes all. The scene needs
     `world.frame: reference`.
     """
 

@@ -266,8 +266,9 @@ class RestPoint(Part):
         steps, products: steps of Newton's method, and products with the stiffness matrix.
         negative: whether the stiffness matrix has a negative eigenvalue.
         smallest: smallest eigenvalue of the preconditioned matrix; it vanishes at a limit point. None if unknown.
-        halvings: how often the way from the last point was halved.
-        reached: part of that way that was covered.
+        halvings, reached: how often the way from the last point was halved, and the part of it that was covered.
+        rounded: whether rounding, and not the tolerance, ended the search.
+        jump, jump_at: largest displacement of a particle in a jump on that way [m], and where it is, or None.
     """
 
     values: dict[str, float]
@@ -279,6 +280,9 @@ class RestPoint(Part):
     smallest: float | None = None
     halvings: int
     reached: float
+    rounded: bool = False
+    jump: float | None = None
+    jump_at: float | None = None
 
 
 class RestResult(Part):

@@ -39,6 +39,9 @@ from cqrun.store.snapshots import Snapshots
 
 NEW, RUNNING, STOPPED = "new", "running", "stopped"
 FINISHED = ("done", "converged", "iteration_limit", "stalled", "infeasible", "failed")
+LATER = (CqrunError, OSError, MemoryError)
+"""Errors after which a run can go on: they say what has to change first. Others are faults of the program."""
+
 SCENE = "scene.yaml"
 
 KINDS: dict[str, type | tuple[type, ...]] = {
@@ -218,7 +221,8 @@ class RunDirectory:
     ) -> None:
         try:
             if error is not None and self.status == RUNNING:
-                self.finish(STOPPED, "aborted" if isinstance(error, StopNow) else f"{type(error).__name__}: {error}")
+                ended = STOPPED if isinstance(error, LATER) or not isinstance(error, Exception) else "failed"
+                self.finish(ended, "aborted" if isinstance(error, StopNow) else f"{type(error).__name__}: {error}")
         except CqrunError as second:
             assert error is not None
             error.add_note(f"run.json still says 'running': {second}")

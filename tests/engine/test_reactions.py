@@ -55,7 +55,7 @@ def test_the_adjoint_of_a_resultant(rested, rng):
     _, _, equilibrium, _ = rested
     n, dim = equilibrium.n_nodes, equilibrium.dim
     nodes = rng.choice(n, 12, replace=False)
-    holder = Holder(nodes, rng.normal(size=(12, dim)))
+    holder = Holder(nodes, rng.normal(size=(12, dim)), rng.normal(size=(12, dim, dim)))
     u, r = rng.normal(size=(n, 4)), rng.normal(size=(n, dim))
     du, dr = rng.normal(size=(n, 4)), rng.normal(size=(n, dim))
     R_bar, M_bar = rng.normal(size=dim), rng.normal(size=1 if dim == 2 else 3)

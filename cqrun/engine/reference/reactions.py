@@ -3,10 +3,11 @@
 A node n that a boundary holds would have the momentum p_n = kept v + dt f after a substep. The boundary changes it to
 m v', and so gives the node the impulse
 
-    J_n = m v' - (kept v + dt f),    F = 1 / (S dt) sum J_n,    M = 1 / (S dt) sum a_n x J_n
+    J_n = W_n (m v' - (kept v + dt f)),    F = 1 / (S dt) sum J_n,    M = 1 / (S dt) sum a_n x J_n
 
-with the sums over the nodes of a boundary and the S substeps of a control step, and a_n = X_n + u_n - C: the arm before
-the substep, from the centre C of all that the boundary holds at rest. With this arm the angular momentum is balanced
+with the sums over the nodes of a boundary and the S substeps of a control step. W_n is the part of the node's impulse
+that the boundary takes, 1 if it is alone there (statics/holding.py), and a_n = X_n + u_n - C the arm before the substep,
+from the centre C of all that the boundary holds at rest. With this arm the angular momentum is balanced
 exactly, as the momentum is. An obstacle acts on surface points instead (`touch.py`): F = 1 / S sum f_s and
 M = 1 / S sum x_s x f_s, about the origin of the world, because what it touches changes.
 
@@ -15,7 +16,7 @@ in order, so that the result does not depend on the number of threads.
 
 Adjoint, for the cotangents F_bar and M_bar of a control step, divided by S dt:
 
-    J_bar = F_bar + M_bar x a,  v'_bar += m J_bar,  f_bar -= dt J_bar,  v_bar -= kept J_bar,  u_bar += J x M_bar,
+    J_bar = W^T (F_bar + M_bar x a),  v'_bar += m J_bar,  f_bar -= dt J_bar,  v_bar -= kept J_bar,  u_bar += J x M_bar,
     m_bar += v' . J_bar,  kept_bar -= v . J_bar
 
 It needs J itself for nodes whose arm may change: a run that keeps states keeps these J with them, as rows of a state;
@@ -47,6 +48,7 @@ class Reactions(NamedTuple):
     node: Array  # (H,) the nodes that boundaries hold
     owner: Array  # (H,) the row of each one's boundary among those that are recorded
     arm: Array  # (H, 3) X_n - C [m]
+    part: Array  # (H, 3, 3) of the node's impulse that the boundary takes
     place: Array  # (H,) the number of its impulse among those of a state; -1 for a node that never moves
     first: int  # row of a state where the impulses begin
     now: Array  # (H, 3) X_n + u_n - C before a substep [m]
@@ -90,10 +92,14 @@ def make_reactions(
     owner = [np.full(len(holder.nodes), names.index(name)) for name, holder in found.items()]
     node = np.concatenate([np.zeros(0, np.int64), *(holder.nodes for holder in found.values())])
     arm = np.concatenate([np.zeros((0, model.dim)), *(holder.arms for holder in found.values())])
+    part = np.zeros((len(node), 3, 3))
+    part[:, : model.dim, : model.dim] = np.concatenate(
+        [np.zeros((0, model.dim, model.dim)), *(holder.parts for holder in found.values())]
+    )
     n, pushes = len(node), tuple(p for each in obstacles for p in each.pushes)
     return (
         Reactions(
-            node, np.concatenate([np.zeros(0, np.int64), *owner]), in_3d(arm), _places(model, bits[node]), first,
+            node, np.concatenate([np.zeros(0, np.int64), *owner]), in_3d(arm), part, _places(model, bits[node]), first,
             np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, REACTION)), pushes, np.full(2, -1),
             np.zeros((model.n_controls, len(names), REACTION)),
         ),
@@ -184,7 +190,7 @@ def note_impulses(
     for h in range(lo, hi):
         n, v = reactions.node[h], at.v_next
         after = scale((float(v[n, 0]), float(v[n, 1]), float(v[n, 2])), float(run.nodes.mass[n]))
-        J = sub(after, row(reactions.before, h))
+        J = taken(reactions, h, sub(after, row(reactions.before, h)))
         M = cross(row(reactions.now, h), J)
         for d in range(3):
             reactions.sums[h, d] += J[d]
@@ -200,6 +206,28 @@ def arm_of(reactions: Reactions, h: int, u: Array) -> Any:
     """Return a node's arm for displacements u (M, 4)."""
     n, a = reactions.node[h], reactions.arm
     return a[h, 0] + float(u[n, 0]), a[h, 1] + float(u[n, 1]), a[h, 2] + float(u[n, 2])
+
+
+@kernel
+def taken(reactions: Reactions, h: int, J: Any) -> Any:
+    """Return the part of a node's impulse that its boundary takes, W J."""
+    W = reactions.part[h]
+    return (
+        W[0, 0] * J[0] + W[0, 1] * J[1] + W[0, 2] * J[2],
+        W[1, 0] * J[0] + W[1, 1] * J[1] + W[1, 2] * J[2],
+        W[2, 0] * J[0] + W[2, 1] * J[1] + W[2, 2] * J[2],
+    )
+
+
+@kernel
+def taken_vjp(reactions: Reactions, h: int, J_bar: Any) -> Any:
+    """Return W^T J_bar."""
+    W = reactions.part[h]
+    return (
+        W[0, 0] * J_bar[0] + W[1, 0] * J_bar[1] + W[2, 0] * J_bar[2],
+        W[0, 1] * J_bar[0] + W[1, 1] * J_bar[1] + W[2, 1] * J_bar[2],
+        W[0, 2] * J_bar[0] + W[1, 2] * J_bar[1] + W[2, 2] * J_bar[2],
+    )
 
 
 @kernel
@@ -250,7 +278,7 @@ def impulses_vjp(
             v, b = at.v_next, arm_of(reactions, h, u_next)
             a = b[0] - dt * float(v[n, 0]), b[1] - dt * float(v[n, 1]), b[2] - dt * float(v[n, 2])
         R = back.mean[at.control, reactions.owner[h]]
-        J_bar = scale(add((R[0], R[1], R[2]), cross((R[3], R[4], R[5]), a)), per)
+        J_bar = taken_vjp(reactions, h, scale(add((R[0], R[1], R[2]), cross((R[3], R[4], R[5]), a)), per))
         put(back.impulse, h, J_bar)
         for d in range(3):
             v = float(at.v_next[n, d])
@@ -295,7 +323,7 @@ def before_vjp(
         bars.kept[n] -= total
         if reactions.place[h] >= 0:
             R = back.mean[at.control, reactions.owner[h]]
-            J = back.after[h, 0], back.after[h, 1], back.after[h, 2]
+            J = taken(reactions, h, row(back.after, h))
             if not reversed_:
                 J = load_spring(u_next, at.v_next, reactions.first, reactions.place[h])
             u_bar = scale(cross(J, (R[3], R[4], R[5])), per)

@@ -42,6 +42,9 @@ NEGLIGIBLE = 1e-14
 INVERSE_ITERATIONS = 8
 """Enough for two digits of the smallest eigenvalue."""
 
+FIRST_SHIFT, LAST_SHIFT = 1e-4, 1e4
+"""Shifts that are tried to make an indefinite stiffness positive."""
+
 
 class Pulled(NamedTuple):
     """Points on which forces act: the weights of nodes (P, M), and the stiffness of the forces (P D, P D); sparse."""
@@ -60,6 +63,7 @@ class CoarseSpace:
 
     Attributes:
         ready: whether there is an inverse.
+        moves: whether a coarse node can move at the last state.
     """
 
     def __init__(self, run: NodeRun, patches: Patches, free: Array) -> None:
@@ -71,12 +75,18 @@ class CoarseSpace:
         self.coarser = sparse.kron(coarser, sparse.eye_array(self.dim))
         self.free = free.astype(np.float64)
         self.used = np.zeros(0, np.int64)
+        self.last: tuple[Array, Any, bool] = self.used, None, True  # rows and stiffness at the last state, its sign
         self.solver: Any = None
 
     @property
     def ready(self) -> bool:
         """Whether there is an inverse."""
         return self.solver is not None
+
+    @property
+    def moves(self) -> bool:
+        """Whether a coarse node can move at the last state."""
+        return len(self.last[0]) > 0
 
     @property
     def size(self) -> int:
@@ -99,10 +109,12 @@ class CoarseSpace:
             K = K + volumes.coarse(self.P)
         diagonal = K.diagonal()
         used = np.flatnonzero(diagonal > NEGLIGIBLE * diagonal.max(initial=0.0))
+        if not len(used):
+            self.last = used, None, True
+            return True
         K = K[used][:, used] + sparse.diags_array(SHIFT * diagonal[used])
-        solver = splu(K.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        # without pivoting the signs of the pivots are those of the eigenvalues (Sylvester)
-        definite = bool((solver.U.diagonal() > 0.0).all())
+        solver, definite = _factors(K)
+        self.last = used, K, definite
         if definite:
             self.used, self.solver = used, solver
         return definite
@@ -112,12 +124,14 @@ class CoarseSpace:
         return self._fine(self._inverse(self._coarse(r)))
 
     def smallest(self, blocks: Array, active: Array) -> float:
-        """Return the smallest eigenvalue of the stiffness relative to its diagonal blocks, by inverse iteration.
+        """Return the smallest eigenvalue of the last stiffness relative to its diagonal blocks, by inverse iteration.
 
         Args:
             blocks: the diagonal blocks of the active nodes (A, D, D).
             active: these nodes.
         """
+        if not self.last[2]:
+            return self._most_negative(blocks, active)
 
         def weighted(coarse: Array) -> Array:
             x = self._fine(coarse)
@@ -131,6 +145,34 @@ class CoarseSpace:
             weighted_w = weighted(w)
             value = float(w @ b) / float(w @ weighted_w)
             b = weighted_w / np.sqrt(float(w @ weighted_w))
+        return value
+
+    def _most_negative(self, blocks: Array, active: Array) -> float:
+        """Return the smallest eigenvalue of an indefinite stiffness K relative to blocks B.
+
+        Inverse iteration with K + s B, which is positive definite for a shift s beyond that eigenvalue, converges to
+        it. A second shift, just beyond the estimate, gives the last digits.
+        """
+        (used, K, _), d = self.last, self.dim
+        ends = np.zeros(self.P.shape[0] + 1, np.int64)
+        ends[active + 1] = 1
+        all_blocks = sparse.bsr_array((blocks, active, np.cumsum(ends)), shape=(d * self.P.shape[0],) * 2)
+        moved = sparse.csc_array(sparse.kron(self.P, sparse.eye_array(d)))[:, used]
+        B = sparse.csc_array(moved.T @ all_blocks @ moved)
+        shift, value = FIRST_SHIFT, np.nan
+        solver, definite = _factors(K + shift * B)
+        while not definite and shift < LAST_SHIFT:
+            shift *= 4.0
+            solver, definite = _factors(K + shift * B)
+        v = np.random.default_rng(0).normal(size=len(used))
+        for closer in (True, False):
+            for _ in range(INVERSE_ITERATIONS):
+                v = solver.solve(B @ v)
+                v /= np.sqrt(float(v @ (B @ v)))
+            value = float(v @ (K @ v))
+            if closer and value < 0.0:
+                trial, definite = _factors(K - 1.1 * value * B)
+                solver = trial if definite else solver
         return value
 
     def _coarse(self, r: Array) -> Array:
@@ -173,6 +215,15 @@ class CoarseSpace:
         i = (d * rows[kept])[:, None, None] + np.arange(d)[:, None] + np.zeros(d, int)
         j = (d * column[kept])[:, None, None] + np.arange(d)[None, :] + np.zeros((d, 1), int)
         return sparse.csr_array((flat[kept].ravel(), (i.ravel(), j.ravel())), shape=(n * d, n * d))
+
+
+def _factors(K: Any) -> tuple[Any, bool]:
+    """Return the factors of a symmetric matrix, and whether it is positive definite.
+
+    Without pivoting the signs of the pivots are those of the eigenvalues (Sylvester).
+    """
+    solver = splu(K.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return solver, bool((solver.U.diagonal() > 0.0).all())
 
 
 def pulled_points(run: NodeRun, loads: Any, drive: Drive, push: Array, control: int) -> list[Pulled]:

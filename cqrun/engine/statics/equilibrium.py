@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cqrun.boundaries.condition import project_all
 from cqrun.engine.model import Inputs, LossBar, Model
 from cqrun.engine.probe import record
 from cqrun.engine.reference.backward import ReferenceBackward
@@ -31,10 +30,11 @@ from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.reference.step import begin_control
 from cqrun.engine.setting import Crew
 from cqrun.engine.statics.coarse import CoarseSpace, pulled_points
+from cqrun.engine.statics.holding import Holding, Planes, loose_bodies
 from cqrun.engine.statics.krylov import Solution, conjugate_gradients
 from cqrun.engine.statics.newton import MOST_PRODUCTS, Rest, find_rest
 from cqrun.engine.statics.passes import find_bars, find_change, find_net, find_slopes
-from cqrun.engine.statics.reactions import Holder, holders, resultant, resultant_vjp, turns
+from cqrun.engine.statics.reactions import Holder, holders, resultant, resultant_vjp
 from cqrun.engine.statics.tangent import add_blocks, rows_of
 from cqrun.engine.statics.volumes import MeanVolumes
 from cqrun.numerics.lanes import lane_width
@@ -86,7 +86,8 @@ class Equilibrium:
         self.A = aligned((patches.layout.n // width, rows_of(self.dim), width), real)
         self.push = np.zeros_like(self.run.push)
         self.still = aligned((self.n_nodes, 4), real)
-        self.held, self.free = self._projections()
+        planes = Planes(model.conditions, model.size, self.run.nodes.bits, self._places())
+        self.held, self.free = planes.holding()
         self.one = [np.ones(1) for _ in self.rollout.shares]
         self.carried = self._carried()
         self._each(lambda crew: begin_control(self.rollout.drive, self.run, self.colours, control, crew))
@@ -157,6 +158,25 @@ class Equilibrium:
         rest = find_rest(self, start, load, tolerance)
         return self._judged(rest) if rest.converged and (judge or self.coarse is not None) else rest
 
+    def smallest_eigenvalue(self, u: Array) -> float:
+        """Return the smallest eigenvalue of the stiffness at a displacement, relative to its blocks; NaN if unknown.
+
+        It is that of the coarse space, and so an upper bound; it is negative where the equilibrium is not stable.
+        """
+        self.linearise(u)
+        self._make_coarse()
+        if self.coarse is None or not self.coarse.moves:
+            return float("nan")
+        return self.coarse.smallest(np.linalg.inv(self.inverse), self.run.nodes.active)
+
+    def first_step(self, u: Array) -> Array:
+        """Return the change to the equilibrium from a displacement (M, 4) near it, to first order."""
+        change = self.carried - (u - self._freed(u))
+        net = self.net(u)
+        self.linearise(u)
+        pull = net - self.product(change)
+        return np.asarray(change + conjugate_gradients(self.product, pull, self.precondition, 1e-2, MOST_PRODUCTS).x)
+
     def load(self) -> float:
         """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
 
@@ -191,8 +211,8 @@ class Equilibrium:
     def held_by(self, u: Array) -> dict[str, tuple[Array, Array]]:
         """Return the force (D,) [N] and the moment (1,) or (3,) [N m] of every boundary, by its name.
 
-        A node that several boundaries hold counts for the first. A moment is about the centre of the boundary's nodes
-        at rest, and acts where the nodes are now.
+        Boundaries divide the reaction of a node that several hold (holding.py). A moment is about the centre of the
+        boundary's nodes at rest, and acts where the nodes are now.
         """
         force = self.reactions(u)
         return {name: resultant(holder, u, force) for name, holder in self.holders().items()}
@@ -267,20 +287,8 @@ class Equilibrium:
 
     def loose_bodies(self) -> dict[str, int]:
         """Return the bodies that nothing holds, by name: in how many ways each can move as a rigid body."""
-        patches, model, loose = self.rollout.rest.patches, self.rollout.model, {}
-        X, body = self._places(), patches.body_of_nodes()
-        for k, name in enumerate(model.body_names):
-            own = body[self.held] == k
-            arms = X[self.held[own]] - X[self.run.nodes.active].mean(axis=0)
-            modes = np.concatenate([np.broadcast_to(np.eye(self.dim), (own.sum(), self.dim, self.dim)),
-                                    turns(arms)], axis=2)  # fmt: skip
-            kept = np.eye(self.dim) - self.free[own]
-            felt = np.einsum("nij,njr->nir", kept, modes).reshape(-1, modes.shape[2])
-            size = np.linalg.norm(modes.reshape(-1, modes.shape[2]), axis=0) if own.any() else np.ones(modes.shape[2])
-            rank = np.linalg.matrix_rank(felt / np.maximum(size, 1e-300), tol=1e-8) if own.any() else 0
-            if rank < modes.shape[2]:
-                loose[name] = int(modes.shape[2] - rank)
-        return loose
+        names, patches = self.rollout.model.body_names, self.rollout.rest.patches
+        return loose_bodies(names, patches.body_of_nodes(), self._places(), Holding(self.held, self.free))
 
     # --- inside -------------------------------------------------------------------------------------------------------
 
@@ -315,14 +323,19 @@ class Equilibrium:
         return self.coarse.prepare(self.A, r.ghosts, pulled, self.volumes)
 
     def _judged(self, rest: Rest) -> Rest:
-        """Return a rest with the smallest eigenvalue there, and whether one is negative, in the coarse space."""
-        self.linearise(rest.u)
-        if not self._make_coarse():
-            return replace(rest, negative=True)
-        if self.coarse is None:
-            return rest
-        smallest = self.coarse.smallest(np.linalg.inv(self.inverse), self.run.nodes.active)
-        return replace(rest, smallest=smallest)
+        """Return a rest with the smallest eigenvalue there, and whether one is negative.
+
+        The coarse space may see none where the fine one does. Then the eigenvalue is not known.
+        """
+        smallest = self.smallest_eigenvalue(rest.u)
+        if np.isnan(smallest):
+            return replace(rest, smallest=smallest if rest.negative else rest.smallest)
+        if smallest <= 0.0 or not rest.negative:
+            return replace(rest, negative=smallest <= 0.0, smallest=smallest)
+        some = np.random.default_rng(0).normal(size=rest.u.shape) * (self.run.nodes.mass > 0)[:, None]
+        some[:, self.dim :] = 0.0
+        found = conjugate_gradients(self.product, self._freed(some), self.precondition, 1e-6, MOST_PRODUCTS)
+        return replace(rest, negative=found.negative, smallest=float("nan") if found.negative else smallest)
 
     def _carried(self) -> Array:
         """Return where boundaries carry their nodes: the displacement of held nodes (M, 4), zero elsewhere."""
@@ -357,17 +370,6 @@ class Equilibrium:
     def _places(self) -> Array:
         """Return where the nodes are at rest (M, D) [m]."""
         return self.rollout.rest.patches.positions(self.rollout.model.dx)
-
-    def _projections(self) -> tuple[Array, Array]:
-        """Return the nodes that boundaries hold (H,), and the projection of each on its free directions (H, D, D)."""
-        bits = self.run.nodes.bits
-        held = np.flatnonzero(bits)
-        free = np.zeros((len(held), self.dim, self.dim))
-        for k, n in enumerate(held):
-            for axis in range(self.dim):
-                unit = tuple(np.eye(self.dim)[axis])
-                free[k, :, axis] = project_all(self.rollout.conditions, n, int(bits[n]), unit)
-        return held, free
 
     def _freed(self, a: Array) -> Array:
         """Return a vector of the nodes (M, 4) without what boundaries hold."""

@@ -71,6 +71,8 @@ class Rest:
         negative: whether the stiffness matrix had a negative eigenvalue on the way to, or at, the answer.
         smallest: smallest eigenvalue of the preconditioned matrix that the last step saw; zero at a limit point.
         stuck: whether no step made the residual smaller.
+        crossed: whether any step met negative curvature.
+        rounded: whether rounding ended the search above the tolerance.
     """
 
     u: Array
@@ -81,6 +83,8 @@ class Rest:
     negative: bool
     smallest: float
     stuck: bool
+    crossed: bool = False
+    rounded: bool = False
 
 
 def find_rest(system: System, u: Array, load: float, tolerance: float) -> Rest:
@@ -93,13 +97,13 @@ def find_rest(system: System, u: Array, load: float, tolerance: float) -> Rest:
     r = system.net(u)
     size, eta = _size(r), LOOSEST
     steps = products = 0
-    negative, stuck, smallest, best, in_vain = False, False, float("nan"), size, 0
+    negative, crossed, stuck, smallest, best, in_vain = False, False, False, float("nan"), size, 0
     while size > tolerance * load and steps < MOST_STEPS and not stuck:
         system.linearise(u)
         eta = max(eta, min(LOOSEST, 0.3 * tolerance * load / size))
         found = conjugate_gradients(system.product, r, system.precondition, eta, MOST_PRODUCTS)
         steps, products = steps + 1, products + found.iterations
-        negative = found.negative
+        negative, crossed = found.negative, crossed or found.negative
         smallest = found.smallest if np.isfinite(found.smallest) else smallest
         before = size
         u, r, size, stuck = _step(system, u, r, size, found.x)
@@ -108,9 +112,10 @@ def find_rest(system: System, u: Array, load: float, tolerance: float) -> Rest:
         best = min(best, size)
         if size <= FLOOR * load and in_vain == IN_VAIN:
             break
-    rounded = size <= FLOOR * load and (stuck or in_vain >= IN_VAIN)
+    exact = size <= tolerance * load
+    rounded = not exact and size <= FLOOR * load and (stuck or in_vain >= IN_VAIN)
     relative = size / load if load > 0 else size
-    return Rest(u, relative, size <= tolerance * load or rounded, steps, products, negative, smallest, stuck)
+    return Rest(u, relative, exact or rounded, steps, products, negative, smallest, stuck, crossed, rounded)
 
 
 def _step(system: System, u: Array, r: Array, size: float, p: Array) -> tuple[Array, Array, float, bool]:

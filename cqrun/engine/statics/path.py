@@ -1,8 +1,9 @@
 """A path of equilibria: each point starts from the last one, and has a gradient of its own.
 
-Where Newton's method does not reach a point, the way to it is halved, at most `HALVINGS` times: all inputs change in
-proportion. The first point is reached from the rest shape without loads. A path with slightly other inputs can start
-each point from the equilibrium of the same point of an earlier path.
+A path that is judged notices where Newton's method lands on another branch, as a body that snaps through does: see
+`RestPath._watched`. Where Newton's method does not reach a point, the way to it is halved, at most `HALVINGS` times:
+all inputs change in proportion. The first point is reached from the rest shape without loads. A path with slightly
+other inputs can start each point from the equilibrium of the same point of an earlier path.
 """
 
 from __future__ import annotations
@@ -29,6 +30,16 @@ KEPT = 2**28
 HALVINGS = 6
 """Most halvings of the way to a point."""
 
+UNEXPECTED = 3.0
+"""A displacement that is larger than expected from either end by this factor is followed in small steps."""
+
+BISECTIONS = 5
+"""How often the part of the way with the larger change is halved then."""
+
+JUMP = 0.5
+"""Part of the whole change that the last of these intervals has if displacement jumps there; where a body buckles, and
+displacement grows with the root of the load, it has 2^-2.5 = 0.18 of it."""
+
 
 @dataclass(frozen=True)
 class Point:
@@ -39,12 +50,16 @@ class Point:
         reached: part of the way from the last point that was covered; 1 if an equilibrium was found.
         halvings: how often the way was halved.
         products: products with the stiffness matrix on the whole way.
+        jump: largest displacement of a particle in a jump on the way [m]; NaN if there is none.
+        jump_at: part of the way at which it jumps.
     """
 
     rest: Rest
     reached: float
     halvings: int
     products: int
+    jump: float = float("nan")
+    jump_at: float = float("nan")
 
 
 class Found(NamedTuple):
@@ -170,7 +185,37 @@ class RestPath:
                 return Point(rest, 1.0, 0, rest.products)
         if self.apart and _net(here, self.rest_shape) < _net(here, u):
             before, u = _unloaded(self.inputs[0]), self.rest_shape
-        return self._reach(here, before, inputs, u)
+        point = self._reach(here, before, inputs, u)
+        return self._watched(here, before, u, point) if self.judge and point.rest.converged else point
+
+    def _watched(self, here: Equilibrium, before: Inputs, u: Array, point: Point) -> Point:
+        """Return a point with the jump of displacement on the way from the last one, if there is any.
+
+        On one branch a small step moves the body as far as the linear equations at either end say. If it moves much
+        farther, or if Newton's method met negative curvature, the way is bisected towards the larger change. A jump
+        keeps its size then, and a smooth change does not.
+        """
+        end = point.rest.u
+        moved = _size(here, end - u)
+        if not moved > 0.0:
+            return point
+        if not point.rest.crossed:
+            ways = here.first_step(u), self.equilibrium(before).first_step(end)
+            if moved <= UNEXPECTED * min(_size(here, way) for way in ways):
+                return point
+        low, high, u_high = 0.0, 1.0, end
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            rest = self.equilibrium(between(before, here.rollout.inputs, middle)).solve(u, tolerance=self.tolerance)
+            if not rest.converged:
+                high = middle
+            elif _size(here, rest.u - u) > _size(here, u_high - rest.u):
+                high, u_high = middle, rest.u
+            else:
+                low, u = middle, rest.u
+        if _size(here, u_high - u) <= JUMP * moved:
+            return point
+        return replace(point, jump=float(_motion(here, u_high - u).max()), jump_at=high)
 
     def _near(self, number: int, here: Equilibrium) -> Array:
         """Return the displacement of a point of `near`, on the nodes of this path: its bodies may have other shapes."""
@@ -217,6 +262,19 @@ class RestPath:
 
 MIXED = ("activation", "strength", "rest", "weights", "moves")
 """The inputs that change on the way, beside fields and terms."""
+
+
+def _motion(here: Equilibrium, u: Array) -> Array:
+    """Return how far each particle moves with a displacement of the nodes (N,) [m].
+
+    Nodes that hardly touch the body may move much farther.
+    """
+    return np.asarray(np.linalg.norm(here.state(u).x - here.rollout.inputs.state.x, axis=1))
+
+
+def _size(here: Equilibrium, u: Array) -> float:
+    """Return the size of a displacement: the root of the sum of squares over all particles [m]."""
+    return float(np.linalg.norm(_motion(here, u)))
 
 
 def _net(here: Equilibrium, u: Array) -> float:
