@@ -6,10 +6,10 @@ m v', and so gives the node the impulse
     J_n = W_n (m v' - (kept v + dt f)),    F = 1 / (S dt) sum J_n,    M = 1 / (S dt) sum a_n x J_n
 
 with the sums over the nodes of a boundary and the S substeps of a control step. W_n is the part of the node's impulse
-that the boundary takes, 1 if it is alone there (statics/holding.py), and a_n = X_n + u_n - C the arm before the substep,
-from the centre C of all that the boundary holds at rest. With this arm the angular momentum is balanced
-exactly, as the momentum is. An obstacle acts on surface points instead (`touch.py`): F = 1 / S sum f_s and
-M = 1 / S sum x_s x f_s, about the origin of the world, because what it touches changes.
+that the boundary takes, 1 if it is alone there (statics/holding.py), and a_n = X_n + u_n - C the arm before the
+substep, from the centre C of all that the boundary holds at rest. With this arm the angular momentum is balanced
+exactly, as the momentum is. An obstacle acts on surface points instead (`touch.py`): F = 1 / S sum f_s and M = 1 / S
+sum x_s x f_s, about the origin of the world, because what it touches changes.
 
 Each thread adds up the impulses of its own nodes and points. One thread adds these sums at the end of a control step,
 in order, so that the result does not depend on the number of threads.
