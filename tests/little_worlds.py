@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -107,11 +106,6 @@ def above(axis: int, level: float) -> Callable[[np.ndarray], np.ndarray]:
     return lambda nodes: nodes[:, axis] >= level - 1e-9
 
 
-def held_by(wall: Wall | None, normal: tuple[float, ...], x: np.ndarray) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Return which places (n, D) a wall holds, and its normal."""
-    return (np.zeros(len(x), bool) if wall is None else wall.nodes(x)), normal
-
-
 def conditions(walls: list[Wall], size: np.ndarray, dx: float) -> tuple[tuple[ConditionModel, ...], np.ndarray]:
     """Return one condition for each of CONDITIONS, with the walls among them, and the coefficients."""
     nodes = node_positions(grid_shape(size, dx), dx)
@@ -123,8 +117,7 @@ def conditions(walls: list[Wall], size: np.ndarray, dx: float) -> tuple[tuple[Co
         normal = wall.normal if wall else (1.0,) + (0.0,) * (len(size) - 1)
         held = wall.nodes(nodes) if wall else np.zeros(len(nodes), bool)
         spec = kind(face="x_min", coefficient=0.0) if kind is Friction else kind(face="x_min")
-        normal = tuple(float(a) for a in normal)
-        models.append(ConditionModel(kind.name, spec, normal, held, partial(held_by, wall, normal)))
+        models.append(ConditionModel(kind.name, spec, tuple(float(a) for a in normal), held))
         coefficients.append(wall.coefficient if wall else 0.0)
     if waiting:
         raise ValueError(f"there is no free place for {waiting}")

@@ -12,7 +12,7 @@ from cqrun.build.particles import Particles
 from cqrun.build.reactions import boundaries_by_user
 from cqrun.build.volumes import volume_problems
 from cqrun.engine.model import ConditionModel
-from cqrun.engine.reference.held import held_nodes
+from cqrun.engine.reference.held import held_at
 from cqrun.errors import Problem
 from cqrun.explain import listed
 from cqrun.scene.schema import Scene
@@ -93,7 +93,7 @@ def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionMod
     reached = reached_nodes(scene, particles).X
     for name, chosen in scene.boundaries.items():
         planes = [plane for plane in conditions if plane.name == name]
-        if chosen.name in HOLDS and not held_nodes(planes, reached).bits.any():
+        if chosen.name in HOLDS and not held_at(planes, reached, np.array(scene.world.size)).bits.any():
             path = f"boundaries.{name}.{chosen.name}"
             yield (
                 path,

@@ -10,7 +10,7 @@ import numpy as np
 from cqrun.build.alignment import grid_offset
 from cqrun.build.particles import Particles
 from cqrun.engine.model import ConditionModel
-from cqrun.engine.reference.held import held_nodes
+from cqrun.engine.reference.held import held_at
 from cqrun.engine.reference.patches import make_patches
 from cqrun.engine.statics.holding import Planes, loose_bodies
 from cqrun.errors import Problem
@@ -96,4 +96,4 @@ def _wholly_held(scene: Scene, particles: Particles, nodes: Reached, planes: Pla
 
 def _planes(scene: Scene, nodes: Reached, conditions: Sequence[ConditionModel]) -> Planes:
     size = np.array(scene.world.size)
-    return Planes(conditions, size, held_nodes(conditions, nodes.X).bits, nodes.X)
+    return Planes(conditions, size, held_at(conditions, nodes.X, size).bits, nodes.X)

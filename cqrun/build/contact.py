@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from cqrun.boundaries.condition import BoundaryCondition, Normal
+from cqrun.boundaries.condition import BoundaryCondition
 from cqrun.boundaries.solid import PLANE, Solid, make_solids, signed_distance
 from cqrun.build.alignment import grid_offset
 from cqrun.build.assembly import Assembly
@@ -59,10 +58,7 @@ def contact_parts(
     surface, obstacles = surface_model(scene, particles, assembly), obstacle_models(scene, conditions)
     if problems := starts_inside(scene, particles, obstacles, conditions):
         raise SceneError(problems)
-    held = (
-        replace(c, nodes=np.zeros_like(c.nodes), at=partial(_nowhere, c.normal)) if c.spec.is_obstacle else c
-        for c in conditions
-    )
+    held = (replace(c, nodes=np.zeros_like(c.nodes)) if c.spec.is_obstacle else c for c in conditions)
     return ContactParts(surface, obstacles, _meeting(scene), tuple(held))
 
 
@@ -72,11 +68,6 @@ def _meeting(scene: Scene) -> MeetingModel | None:
         return None
     contact = scene.world.contact or BodyContact()
     return MeetingModel(contact.coefficient > 0 or "world.contact.coefficient" in scene.unknowns, contact.dashpot)
-
-
-def _nowhere(normal: Normal, x: Array) -> tuple[Array, Normal]:
-    """Return that an obstacle, which bodies touch, holds none of some nodes (n, D)."""
-    return np.zeros(len(x), bool), normal
 
 
 def surface_model(scene: Scene, particles: Particles, assembly: Assembly) -> SurfaceModel:

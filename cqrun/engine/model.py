@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -61,16 +60,12 @@ class ActuatorModel:
 
 @dataclass(frozen=True)
 class ConditionModel:
-    """One plane of a boundary condition, and the nodes of the world's grid (bool) that it applies to.
-
-    `at` gives the same at any places (n, D) [m]: which of them it applies to (n,), and the normal.
-    """
+    """One plane of a boundary condition, and the nodes of the world's grid (bool) that it applies to."""
 
     name: str
     spec: BoundaryCondition
     normal: Normal
     nodes: Array
-    at: Callable[[Array], tuple[Array, Normal]]
 
     def kernel(self, coefficient: float) -> Any:
         """Return the kernels' view."""
@@ -316,12 +311,4 @@ def conditions_of(name: str, spec: BoundaryCondition, size: Array, dx: float) ->
     """Return the planes of one boundary condition on the grid of a world."""
     size = np.asarray(size, float)
     nodes = node_positions(grid_shape(size, dx), dx)
-    planes = spec.places(nodes, size)
-    return [
-        ConditionModel(name, spec, normal, inside, partial(_plane_at, spec, size, k))
-        for k, (inside, normal) in enumerate(planes)
-    ]
-
-
-def _plane_at(spec: BoundaryCondition, size: Array, k: int, x: Array) -> tuple[Array, Normal]:
-    return spec.places(x, size)[k]
+    return [ConditionModel(name, spec, normal, inside) for inside, normal in spec.places(nodes, size)]

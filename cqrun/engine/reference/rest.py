@@ -104,8 +104,7 @@ class RestGeometry:
         """Return which nodes the boundary conditions of a model hold."""
         known = self.kept.get("held")
         if known is None or known[0] is not model.conditions:
-            found = held_nodes(model.conditions, self.patches.positions(self.dx))
-            known = self.kept["held"] = model.conditions, found
+            known = self.kept["held"] = model.conditions, held_nodes(model, self.patches)
         held: Held = known[1]
         return held
 
