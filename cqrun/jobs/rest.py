@@ -26,6 +26,7 @@ from cqrun.errors import Problem, SceneError, StopAsked
 from cqrun.fitting.at_rest import held_problem
 from cqrun.jobs.job import NO_FILES, Job
 from cqrun.running.bodies import report_bodies, resolved_lines
+from cqrun.running.passing import Passing
 from cqrun.running.reporter import Reporter
 from cqrun.running.rest_table import RestTable, rest_frames, write_frame
 from cqrun.running.runs import build_and_warn
@@ -75,7 +76,7 @@ class RestJob(Job[Resting, RestResult]):
         path = RestPath(built.model, inputs, threads=prepared.threads, judge=True)
         _require_held(built, path)
         found: list[RestPoint] = []
-        rows = RestTable(built, points)
+        rows, passing = RestTable(built, points), Passing(built)
         with rest_frames(run.path / "trajectory.h5", built, len(points)) as writer:
             write_frame(writer, path.start.state(path.rest_shape), 0)
 
@@ -85,6 +86,7 @@ class RestJob(Job[Resting, RestResult]):
                 found.append(RestPoint(values=points[k], **facts))
                 if point.rest.converged:
                     rows.add(here, point.rest.u, facts)
+                    passing.look(f"point {k + 1}", here.state(point.rest.u))
                     write_frame(writer, here.state(point.rest.u), k + 1)
                 rows.save(run.path / "rest.csv")
                 talk.advance(k + 1, len(points), f"point {k + 1} of {len(points)}, {point.products} products")
@@ -98,14 +100,14 @@ class RestJob(Job[Resting, RestResult]):
                 raise talk.stop.stopped(f"{message}; `cqrun resume {run.path}` goes on") from None
             if not found[-1].converged:
                 writer.abandon()
-        self._end(run, built, found, talk)
+        self._end(run, built, found, list(passing.findings()), talk)
 
-    def _end(self, run: RunDirectory, built: Built, found: list[RestPoint], talk: Reporter) -> None:
+    def _end(self, run: RunDirectory, built: Built, found: list[RestPoint], passed: list[str], talk: Reporter) -> None:
         """Write the result."""
         lost = None if found[-1].converged else len(found)
         message = f"{len(found)} point{'s' if len(found) > 1 else ''} at rest" if lost is None else _lost(found)
         status = "done" if lost is None else "failed"
-        findings = list(_findings(found))
+        findings = [*passed, *_findings(found)]
         for sentence in findings:
             talk.warn(sentence)
             run.log(sentence)
