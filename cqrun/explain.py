@@ -145,7 +145,8 @@ def in_words(error: ErrorDetails, *, keys: Iterable[str] = (), about: str = "", 
     if kind in ("too_short", "too_long"):
         short = kind == "too_short"
         limit = f"at least {context['min_length']}" if short else f"at most {context['max_length']}"
-        return f"must have {limit} entries, has {context['actual_length']}"
+        entries = "entry" if limit.endswith(" 1") else "entries"
+        return f"must have {limit} {entries}, has {context['actual_length']}"
     if kind == "literal_error":
         near = suggest(value, re.findall(r"'([^']*)'", context["expected"])) if isinstance(value, str) else ""
         return f"must be {context['expected']}, is {shown(value)}{near}"

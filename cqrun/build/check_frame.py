@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from cqrun.build.alignment import HOLDS
 from cqrun.build.check_holds import reached_nodes, unheld_problems
 from cqrun.build.contact import unknown_surfaces

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from cqrun.boundaries.sticky import Sticky
 from cqrun.build.check_gaps import TOO_CLOSE
 from cqrun.build.check_holds import hold_warnings
+from cqrun.build.check_moves import moving_warnings
 from cqrun.build.particles import Particles
 from cqrun.build.raster import THIN, Raster, across, depth, neck, thinner
 from cqrun.engine.model import ConditionModel
@@ -46,6 +47,7 @@ def grid_warnings(
         *_clamps(scene, particles, conditions),
         *_starts_inside(scene, particles, conditions),
         *hold_warnings(scene, particles, conditions),
+        *moving_warnings(scene, particles),
     ]
 
 

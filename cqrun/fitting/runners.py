@@ -20,6 +20,7 @@ from cqrun.explain import listed
 from cqrun.plugin.contract import Array
 from cqrun.running.cost import about
 from cqrun.running.drift import drift_findings
+from cqrun.running.passing import Passing
 from cqrun.running.rest_table import rest_frames, write_frame
 from cqrun.running.side_by_side import Effort
 from cqrun.running.trajectories import write_trajectory
@@ -99,14 +100,15 @@ class InMotion:
     def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> list[str]:
         """Write the trajectory; return what is notable of the substep, and of positions that drift."""
         rollout = make_rollout(self.built.model, self.built.assembly.inputs(values), threads=threads)
-        last = rollout.inputs.state
+        last, passing = rollout.inputs.state, Passing(self.built)
 
-        def keep(_: int, state: State) -> None:
+        def keep(control: int, state: State) -> None:
             nonlocal last
             last = state
+            passing.at_control(control, state)
 
         write_trajectory(path, self.built, rollout, provenance=provenance, progress=keep)
-        return [*rollout.remarks(), *drift_findings(self.built, last)]
+        return [*passing.findings(), *rollout.remarks(), *drift_findings(self.built, last)]
 
 
 @dataclass(frozen=True)

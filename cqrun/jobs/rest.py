@@ -27,6 +27,7 @@ from cqrun.engine.statics.path import Point, RestPath
 from cqrun.errors import Problem, SceneError, StopAsked
 from cqrun.jobs.job import NO_FILES, Job
 from cqrun.running.bodies import report_bodies, resolved_lines
+from cqrun.running.passing import Passing
 from cqrun.running.reporter import Reporter
 from cqrun.running.rest_table import RestTable, rest_frames, write_frame
 from cqrun.running.runs import build_and_warn
@@ -83,7 +84,7 @@ class RestJob(Job[Resting, RestResult]):
         inputs = [inputs_of(built, point) for point in points]
         path = RestPath(built.model, inputs, threads=prepared.threads, tolerance=TOLERANCE, judge=True)
         found: list[RestPoint] = []
-        rows = RestTable(built, points)
+        rows, passing = RestTable(built, points), Passing(built)
         with rest_frames(run.path / "trajectory.h5", built, len(points)) as writer:
             write_frame(writer, path.start.state(path.rest_shape), 0)
 
@@ -93,6 +94,7 @@ class RestJob(Job[Resting, RestResult]):
                 found.append(RestPoint(values=points[k], **facts))
                 if point.rest.converged:
                     rows.add(here, point.rest.u, facts)
+                    passing.look(f"point {k + 1}", here.state(point.rest.u))
                     write_frame(writer, here.state(point.rest.u), k + 1)
                 rows.save(run.path / "rest.csv")
                 talk.advance(k + 1, len(points), f"point {k + 1} of {len(points)}, {point.products} products")
@@ -107,7 +109,7 @@ class RestJob(Job[Resting, RestResult]):
             if not found[-1].converged:
                 writer.abandon()
         unloaded = path.start.smallest_eigenvalue(path.rest_shape)
-        self._end(run, built, found, [*_findings(found, unloaded)], talk)
+        self._end(run, built, found, [*passing.findings(), *_findings(found, unloaded)], talk)
 
     def _end(
         self, run: RunDirectory, built: Built, found: list[RestPoint], findings: list[str], talk: Reporter

@@ -36,6 +36,7 @@ from cqrun.running.cost import about
 from cqrun.running.drift import drift_findings
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.observables import Observables
+from cqrun.running.passing import Passing
 from cqrun.running.reaction_table import summary_of, with_reactions, write_reaction_table
 from cqrun.running.reporter import Reporter, Silent
 from cqrun.running.runs import build_and_warn, raise_if_failed
@@ -98,7 +99,7 @@ class Simulate(Job[Simulation, SimulateResult]):
         time, model = built.scene.time, built.model
         lasts = about(model, each="in all")
         talk.phase(f"simulating {model.layout.n_particles} particles, {model.n_steps} substeps, {lasts}")
-        reached, last = 0.0, rollout.inputs.state
+        reached, last, passing = 0.0, rollout.inputs.state, Passing(built)
         with Observables(run.path / "observables.csv", built, rollout.inputs) as watch:
 
             def observe(control: int, state: State) -> None:
@@ -106,6 +107,7 @@ class Simulate(Job[Simulation, SimulateResult]):
                 last = state
                 reached = control * time.control_step
                 watch.record(control, state)
+                passing.at_control(control, state)
                 talk.advance(control, model.n_controls, f"t = {reached:.4g} of {time.duration:.4g} s")
 
             path = run.path / "trajectory.h5"
@@ -114,7 +116,12 @@ class Simulate(Job[Simulation, SimulateResult]):
                     path, built, rollout, should_stop=lambda: talk.stop.asked, progress=observe, provenance=provenance
                 )
             except RolloutError as error:
-                write_result(run.path, _result(built, watch, "failed", str(error), reached))
+                result = _result(built, watch, "failed", str(error), reached)
+                result.findings += passing.findings()
+                for sentence in result.findings:
+                    talk.warn(sentence)
+                    run.log(sentence)
+                write_result(run.path, result)
                 run.finish("failed", str(error))
                 return
             if not complete:
@@ -132,7 +139,7 @@ class Simulate(Job[Simulation, SimulateResult]):
             result.boundaries = summary_of(records.held, model.dim)
             reactions = Reactions.of(records.held, model.dim, time.control_step)
             write_reaction_table(run.path / "reactions.csv", reactions)
-        result.findings += [*rollout.remarks(), *drift_findings(built, last)]
+        result.findings += [*passing.findings(), *rollout.remarks(), *drift_findings(built, last)]
         for sentence in result.findings:
             talk.warn(sentence)
             run.log(sentence)

@@ -24,6 +24,8 @@ def with_defaults(scene: Any) -> Any:
     filled = _filled(Sections, scene, defaults)
     if scene.get("job") == "rest" and "time" not in scene:  # rest has none, but the same scene may move
         filled["time"] = {"duration": 1.0, "control_step": 1.0}
+    if scene.get("job") == "sysid" and "time" not in scene and _all_at_rest(_mapping(scene.get("data"))):
+        filled["time"] = {"duration": 0.01, "control_step": 0.01}
     target = _mapping(_mapping(scene.get("data")).get("target"))
     if target and "only body" in defaults:  # is refused, and the advice names the body
         filled["data"] = {**filled["data"], "target": {"body": defaults["only body"], **target}}
@@ -39,6 +41,16 @@ def with_vector(data: Any, path: str) -> Any:
     loc = locate(filled, parent)
     vector = value_at(filled, loc)
     return replaced(data, loc, vector) if isinstance(vector, list) and value_at(data, loc) is None else data
+
+
+def _all_at_rest(data: Mapping[str, Any]) -> bool:
+    """Return whether all recordings are of bodies at rest, so that times have no meaning."""
+    known = plugins("measurement")
+    kinds = [
+        [known[key] for key in recording if key in known]
+        for recording in map(_mapping, _mapping(data.get("recordings")).values())
+    ]
+    return bool(kinds) and all(own and all(getattr(kind, "at_rest", False) is True for kind in own) for own in kinds)
 
 
 def _defaults(scene: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import ConfigDict, Field, TypeAdapter, ValidatorFunctionWrapHandler, WrapValidator
 
+from cqrun.explain import shown
 from cqrun.plugin.contract import Spec
 
 ACTIVATION = "activation."
@@ -29,7 +30,22 @@ class Ramp(Spec):
         return [self.first + k * step for k in range(self.points - 1)] + [self.last]
 
 
-PathValues = Annotated[list[float], Field(min_length=1, max_length=MOST_POINTS)] | Ramp
+_List = Annotated[list[float], Field(min_length=1, max_length=MOST_POINTS)]
+_LIST: TypeAdapter[list[float]] = TypeAdapter(_List, config=ConfigDict(strict=True, allow_inf_nan=False))
+
+
+def _list_or_ramp(value: Any, _: ValidatorFunctionWrapHandler) -> list[float] | Ramp:
+    """Return the entry by what it looks like, so that a mistake has one message and not one of each alternative."""
+    if isinstance(value, Ramp):
+        return value
+    if isinstance(value, dict):
+        return Ramp.model_validate(value)
+    if isinstance(value, list):
+        return _LIST.validate_python(value)
+    raise ValueError(f"must be a list of values, or a ramp with `first`, `last` and `points`, is {shown(value)}")
+
+
+PathValues = Annotated[_List | Ramp, WrapValidator(_list_or_ramp)]
 """A list of values, or a ramp."""
 
 

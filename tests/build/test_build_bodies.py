@@ -129,7 +129,7 @@ def test_a_body_has_a_shape_or_parts() -> None:
     shape = box([0.1, 0.1], [0.2, 0.2])
     assert "bodies.b: must have exactly one of shape, parts; has none" in error_of({})
     assert "has shape, parts" in error_of({"shape": shape, "parts": {"a": shape}})
-    assert "bodies.b.parts: must have at least 1 entries, has 0" in error_of({"parts": {}})
+    assert "bodies.b.parts: must have at least 1 entry, has 0" in error_of({"parts": {}})
 
 
 def test_parts_that_overlap_are_refused_and_those_that_touch_are_not() -> None:

@@ -18,8 +18,8 @@ from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel, LossBar, Records
 from cqrun.engine.reference.ghost import THIRD
 from cqrun.engine.reference.moves import rotation_matrix
+from cqrun.engine.reference.stretch import LEAST
 from cqrun.errors import RolloutError
-from cqrun.materials.fixed_corotated import FixedCorotated
 from cqrun.materials.lame import shear_modulus
 from cqrun.materials.term import MaterialTerm
 
@@ -370,22 +370,8 @@ def test_the_least_principal_stretch_is_noted(dim):
     rollout = make_rollout(model, inputs)
     rollout.run(observe=lambda k, state: seen.append(np.linalg.svd(state.F, compute_uv=False).min()))
     assert min(seen) < 0.9
-    assert rollout.bundle.least[0] == pytest.approx(min(seen), rel=1e-9)
-    assert rollout.bundle.least[2] == model.substeps * int(np.argmin(seen))
+    least, _, step = rollout.bundle.least[LEAST, :3]
+    assert least <= min(seen) * (1 + 1e-9)  # it is looked at between control steps, too
+    assert least == pytest.approx(min(seen), rel=0.01)
+    assert abs(step - model.substeps * int(np.argmin(seen))) <= model.substeps
     assert rollout.remarks() == []  # the substep is short enough
-
-
-def test_a_substep_that_is_too_long_for_a_squeezed_body_is_reported():
-    """The remark names the body, the time, and the substeps that would do."""
-    model, inputs = free_block(2, turn=1.0, seconds=0.1, dt=1e-3, controls=20)
-    wave = (FixedCorotated.wave_modulus,)
-    model = replace(model, groups=(replace(model.groups[0], wave=wave),))
-    c = np.sqrt(FixedCorotated.wave_modulus(np.array([[1e5], [0.3]]))[0] / 1000)
-    rollout = make_rollout(replace(model, dt=0.55 * model.dx / c), inputs)
-    rollout.run()
-    assert rollout.remarks() == []
-    rollout.bundle.least[:] = 0.5, 3, 40
-    (remark,) = rollout.remarks()
-    assert remark.startswith("body 0 was squeezed to 0.50 of its length at t = ")
-    needed = int(np.ceil(model.substeps * 0.55 / (0.8 * 0.5)))
-    assert remark.endswith(f"set time.substeps={needed}")

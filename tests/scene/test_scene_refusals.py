@@ -285,7 +285,7 @@ def test_a_file_far_too_long_is_refused_without_reading_it(tmp_path: Path) -> No
         ({"recordings": {"a": {"file": "a.csv", "marker": {}}}}, "unknown key (did you mean 'markers'?)"),
         ({"recordings": {"a": {"file": "a", "markers": {"tip": 3}}}}, "markers.tip: must be a list, is 3"),
         ({"recordings": {"a": {"file": "a", "markers": {"tip": ["x", 1]}}}}, "markers.tip.0: must be a number in m"),
-        ({"recordings": {}}, "data.recordings: must have at least 1 entries, has 0"),
+        ({"recordings": {}}, "data.recordings: must have at least 1 entry, has 0"),
         ({"recordings": {"a": {"file": ""}}}, "data.recordings.a.file: string should have at least 1 char"),
         (
             {"recordings": {"a": {"file": "a", "units": "inch"}}},

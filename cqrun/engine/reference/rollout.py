@@ -24,10 +24,11 @@ from cqrun.engine.reference.history import make_histories, put_histories, rows_o
 from cqrun.engine.reference.look import look
 from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, progress
 from cqrun.engine.reference.reactions import Reactions, make_reactions, reactions_by_name, rows_of_impulses
+from cqrun.engine.reference.remarks import remarks_on, why_it_failed
 from cqrun.engine.reference.rest import rest_geometry
 from cqrun.engine.reference.setting import TILE, NodeRun, Nodes, NodeSetting, Tiles
 from cqrun.engine.reference.step import advance, note
-from cqrun.engine.reference.stretch import LIMIT
+from cqrun.engine.reference.stretch import no_watch
 from cqrun.engine.rollout import Rollout
 from cqrun.engine.setting import Crew
 from cqrun.forces.force import needs_velocity
@@ -121,7 +122,7 @@ class ReferenceRollout(Rollout):
         force, outside = aligned((n_nodes, 4), real), aligned((n_nodes, 4), real)
         return NodeRun(
             setting, nodes, self.rest.stencils, patches.units, self.rest.rest, self.fields, push, force, outside, q,
-            tiles, np.array([1.0, -1.0, 0.0]), np.full(1, -1), self.team.arrivals,
+            tiles, no_watch(), np.full(1, -1), self.team.arrivals,
         )  # fmt: skip
 
     def _make_moves(self) -> tuple[Moves, ...]:
@@ -281,37 +282,12 @@ class ReferenceRollout(Rollout):
             self._fail(reached, states[reached - begin if keep else 0])
 
     def remarks(self) -> list[str]:
-        """Return sentences about a substep that is too long for the least principal stretch that was reached."""
-        least, column, step = self.bundle.least
-        if column < 0:
-            return []
-        particle = int(self.model.layout.sources()[int(column)])
-        body = next(k for k, part in enumerate(self.model.layout.slices()) if particle < part.stop)
-        limit = LIMIT * float(least) * self._crossing_time(body)
-        if not 0.0 < limit < self.model.dt:
-            return []
-        substeps, time = int(np.ceil(self.model.substeps * self.model.dt / limit)), step * self.model.dt
-        return [
-            f"{self.model.body_names[body]} was squeezed to {least:.2f} of its length at t = {time:.4g} s,"
-            f" where the substep is too long to be sure of the motion: set time.substeps={substeps}"
-        ]
-
-    def _crossing_time(self, body: int) -> float:
-        """Return the time in which a pressure wave crosses a cell of a body at rest [s]; infinite if unknown."""
-        part, fields = self.model.layout.slices()[body], self.inputs.fields
-        group = next(g for g, each in enumerate(self.model.groups) if body in each.bodies)
-        own = slice(
-            part.start - self.model.group_slices()[group].start, part.stop - self.model.group_slices()[group].start
-        )
-        waves = zip(self.model.groups[group].wave, self.inputs.terms[group], strict=False)
-        modulus = sum((wave(theta[:, own]) for wave, theta in waves), np.zeros(part.stop - part.start))
-        if not modulus.max(initial=0.0) > 0.0:
-            return float("inf")
-        return float(np.min(self.model.dx / np.sqrt(modulus * fields.volume[part] / fields.mass[part])))
+        """Return sentences about the most deformed particles, and a substep that is too long for them."""
+        return list(remarks_on(self))
 
     def _fail(self, step: int, q: Array) -> None:
         look(self.bundle, q[0], q[1], Crew(0, 1))
         x = State.unpack(self.bundle.q, self.model.layout, np.zeros(0)).x
         particle = int(np.flatnonzero(~np.isfinite(x).all(axis=1))[0])
-        advice = "the simulation blew up: use smaller substeps, a softer material or weaker actuation"
+        advice = f"the simulation blew up: {why_it_failed(self)}"
         self._report(particle, step, "its position is not finite", advice)

@@ -72,7 +72,7 @@ class NodeRun(NamedTuple):
     outside: Array  # (M, 4) external forces, which are constant in a control step [N]
     q: Array  # (rows, n) the particles' state at the end of a control step, packed; histories are always current
     tiles: Tiles
-    least: Array  # (3,) least principal stretch of a particle so far, its column, and the substep
+    least: Array  # (6, 13) the particles that were deformed most so far (`stretch.py`)
     stray: Array  # (1,) first node that is not finite, else -1
     arrivals: Array  # of the barrier (`team.py`)
 

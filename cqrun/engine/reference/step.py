@@ -32,7 +32,7 @@ from cqrun.engine.reference.reactions import (
     note_impulses_each,
 )
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
-from cqrun.engine.reference.stretch import watch_stretch
+from cqrun.engine.reference.stretch import WATCH, watch
 from cqrun.engine.reference.sweep import press_each, press_each_vjp
 from cqrun.engine.setting import Crew, Drive, Probe
 from cqrun.forces.force import Levels
@@ -70,8 +70,8 @@ def advance(
 
     With `keep`, states[k] becomes the state after k substeps; otherwise states[0] is overwritten. A state has the
     displacements and the velocities of the nodes, after them the springs of contact and the impulses of reactions, and
-    then the histories, (2, M + E + H, 4). Record at the end of every control step, and stop there if a node is not
-    finite (`run.stray`).
+    then the histories, (2, M + E + H, 4). Record at the end of every control step. Stop there, or every WATCH substeps,
+    if a node is not finite (`run.stray`).
 
     Args:
         parts: groups with their first and last bodies.
@@ -104,14 +104,18 @@ def advance(
         note_impulses_each(reactions, run, at, states[after, 0], step, keep, crew)
         write = keep or step + 1 == end
         remember_each(histories, run, states[after, 0], states[after, 1], colours, write, crew)
-        if (step + 1) % substeps == 0:
+        ends, looks = (step + 1) % substeps == 0, (step + 1) % WATCH == 0
+        if ends:
             add_up_each(reactions, run, step, crew)
+        if ends or looks:
             find_stray(run, states[after, 0], crew)
             if run.stray[0] >= 0:
                 return step + 1
-            note(run, states[after, 0], states[after, 1], probe, records[control + 1], crew)
-            if crew.thread == 0:
-                watch_stretch(run, 0, run.stencils.f.shape[0], step + 1)
+            if ends:
+                note(run, states[after, 0], states[after, 1], probe, records[control + 1], crew)
+            else:
+                look(run, states[after, 0], states[after, 1], crew)
+            watch(run, step + 1, crew)
     return end
 
 

@@ -1,8 +1,10 @@
-"""The least principal stretch of the particles, which shortens the largest stable substep.
+"""How far particles are deformed: what the substep must be short enough for, and what no body can do.
 
-A wave in material that is compressed to the stretch s crosses its cell 1 / s times as fast, so the limit of the substep
-shrinks by about s (measured: at s = 0.4 it is 0.48 dx / c for neo-Hookean, at a stretch of 3, where s = 0.58 across,
-0.46). The singular values of F are found only where a cheap lower bound does not settle it,
+Every WATCH substeps, and at the end of every control step, three particles are noted: the one with the least principal
+stretch, the one that is stretched most, and the one with the least volume ratio J. If J <= 0 the material there is
+turned inside out. Afterwards, `remarks.py` says what that means.
+
+The singular values of F are found only where a cheap lower bound does not settle it,
 
     s_min >= |det F| ((D - 1) / |F|^2)^((D - 1) / 2)
 
@@ -16,32 +18,81 @@ import numpy as np
 
 from cqrun.engine.arrays import load_F
 from cqrun.engine.reference.setting import NodeRun
-from cqrun.numerics.compile import kernel
+from cqrun.engine.setting import Crew
+from cqrun.numerics.compile import barrier, kernel
 from cqrun.numerics.lanes import LANE_BYTES, lane
 from cqrun.numerics.tensor import det, inner
+from cqrun.plugin.contract import Array
 
-LIMIT = 0.8
-"""Largest stable substep at stretch 1, in dx / c, for bodies that are deformed in any way."""
+WATCH = 16
+"""Substeps after which deformations are noted: a wave crosses ten cells in that time at most."""
 
-LEAST, COLUMN, STEP = 0, 1, 2
-"""Entries of `NodeRun.least`."""
+WILD = 900.0
+"""Of |F|^2: beyond a stretch of 30 a run has blown up, and what it does there says nothing about the substep."""
+
+LEAST, MOST, VOLUME = 0, 1, 2
+"""Rows of `NodeRun.least`: the least principal stretch, the largest |F|^2, and the least volume ratio."""
+
+VALUE, COLUMN, STEP, FIRST, MATRIX = 0, 1, 2, 3, 4
+"""Entries of a row: the value, its column and substep, the first substep (J <= 0 alone), and where F begins."""
+
+
+def no_watch() -> Array:
+    """Return `NodeRun.least` before the first substep (6, 13); its last three rows are for work."""
+    least = np.full((6, MATRIX + 9), -1.0)
+    least[:, VALUE] = 1.0, 1.0, 1.0, 1.0, 1.0, 1.0
+    least[MOST, VALUE] = 0.0
+    return least
+
+
+@kernel
+def watch(run: NodeRun, step: int, crew: Crew) -> None:
+    """Note how far the particles in `run.q` are deformed."""
+    if crew.thread == 0:
+        watch_stretch(run, 0, run.stencils.f.shape[0], step)
+    barrier(run.arrivals, crew.n_threads)
 
 
 @kernel
 def watch_stretch(run: NodeRun, lo: int, hi: int, step: int) -> None:
-    """Note the least principal stretch of the particles lo .. hi in `run.q`, on one thread."""
-    dims, width = run.setting.dims, LANE_BYTES // run.q.itemsize
-    dim = len(dims)
+    """Note how far the particles lo .. hi are deformed, on one thread; after a run blew up, only J is noted."""
+    dims, width, least = run.setting.dims, LANE_BYTES // run.q.itemsize, run.least
+    dim, J_least, most = len(dims), 1.0, 0.0
+    for row in range(2):
+        for k in range(least.shape[1]):
+            least[3 + row, k] = least[row, k]
     for i in range(lo, hi, width):
         F = load_F(run.q, i, dims)
         J, square = det(F), inner(F, F)
         for k in range(width):
-            size = lane(square, k)
-            bound = abs(lane(J, k)) * ((dim - 1.0) / size if dim == 3 else np.sqrt(1.0 / size))
-            if bound < run.least[LEAST]:
+            size, ratio = lane(square, k), lane(J, k)
+            most = max(most, size)
+            if ratio < J_least:
+                J_least = ratio
+                if ratio < least[VOLUME, VALUE]:
+                    note_particle(run, VOLUME, ratio, i + k, step)
+            if size > least[3 + MOST, VALUE]:
+                note_particle(run, 3 + MOST, size, i + k, step)
+            bound = abs(ratio) * ((dim - 1.0) / size if dim == 3 else np.sqrt(1.0 / size))
+            if bound < least[3 + LEAST, VALUE]:
                 exact = least_singular_value(run, i + k)
-                if exact < run.least[LEAST]:
-                    run.least[LEAST], run.least[COLUMN], run.least[STEP] = exact, i + k, step
+                if exact < least[3 + LEAST, VALUE]:
+                    note_particle(run, 3 + LEAST, exact, i + k, step)
+    if J_least > 0.0 and most < WILD:
+        for row in range(2):
+            for k in range(least.shape[1]):
+                least[row, k] = least[3 + row, k]
+    elif J_least <= 0.0 and least[VOLUME, FIRST] < 0.0:
+        least[VOLUME, FIRST] = step
+
+
+@kernel
+def note_particle(run: NodeRun, row: int, value: float, p: int, step: int) -> None:
+    """Write a particle and its F to a row."""
+    dim, w = len(run.setting.dims), run.q.shape[2]
+    run.least[row, VALUE], run.least[row, COLUMN], run.least[row, STEP] = value, p, step
+    for k in range(dim * dim):
+        run.least[row, MATRIX + k] = run.q[p // w, 2 * dim + dim * dim + k, p % w]
 
 
 @kernel

@@ -1,0 +1,165 @@
+"""What a user should know of deformations: a substep that is too long, material that is inverted, bodies pulled far.
+
+The substep must be short enough for the fastest wave. A wave along N (a direction at rest) crosses a cell at rest in
+
+    dx sqrt(rho / q),    q the largest eigenvalue of Q_ik = sum_JL dP_iJ/dF_kL N_J N_L    (the acoustic tensor)
+
+So a squeezed neo-Hookean body needs shorter substeps, but a fixed corotated one only if it is stretched. LIMIT was
+measured by power iteration on bodies with the same F everywhere: the largest stable substep was 1.08 to 1.22 of that
+time, at stretches from 0.3 to 3, for both laws with nu 0.3 and 0.45.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from cqrun.engine.reference.stretch import COLUMN, FIRST, LEAST, MATRIX, MOST, STEP, VALUE, VOLUME
+from cqrun.materials.term import has_history, kirchhoff
+from cqrun.plugin.contract import Array
+
+if TYPE_CHECKING:
+    from cqrun.engine.reference.rollout import ReferenceRollout
+
+LIMIT = 1.1
+"""Largest stable substep, in times in which a wave crosses a cell of the material as it is deformed."""
+
+LONGER = 1.1
+"""Stretch from which a body counts as stretched."""
+
+FAR = 5.0
+"""Stretch from which a body is asked whether it should have torn."""
+
+DIRECTIONS = 200
+"""Directions N that are tried."""
+
+DIFFERENCE = 1e-6
+"""Of F, for slopes, in parts of its least stretch."""
+
+
+class Noted(NamedTuple):
+    """A particle that was deformed much: its body, when, its principal stretches in order, and the substeps needed."""
+
+    body: str
+    time: float
+    stretches: Array
+    substeps: int
+
+    def __str__(self) -> str:
+        """Say how it was deformed."""
+        least, most = self.stretches[0], self.stretches[-1]
+        how = f"squeezed to {least:.2f} of its length"
+        if most > LONGER:
+            thinned = f" and thinned to {least:.2f} across" if least < 1.0 / LONGER else ""
+            how = f"stretched to {most:.2f} times its length{thinned}"
+        return f"'{self.body}' was {how} at t = {self.time:.4g} s"
+
+
+def remarks_on(rollout: ReferenceRollout) -> Iterator[str]:
+    """Yield a sentence on each thing that a user should know."""
+    yield from _inverted(rollout)
+    needs = max(_noted(rollout), key=lambda each: each.substeps, default=None)
+    if needs is not None and needs.substeps > rollout.model.substeps:
+        yield (
+            f"{needs}, where waves are so fast that the substep is too long to be sure of the motion: set"
+            f" time.substeps={needs.substeps}"
+        )
+    yield from _pulled(rollout, FAR)
+
+
+def why_it_failed(rollout: ReferenceRollout) -> str:
+    """Return what led to values that are not finite, as far as it was seen, and the substeps to try."""
+    seen = list(remarks_on(rollout)) or list(_pulled(rollout, 0.5 * FAR))
+    if not any("time.substeps=" in sentence for sentence in seen):
+        seen.append(f"try time.substeps={2 * rollout.model.substeps}, a softer material or weaker actuation")
+    return "; ".join(seen)
+
+
+def _pulled(rollout: ReferenceRollout, far: float) -> Iterator[str]:
+    """Yield a question about the body that is stretched most, if it is stretched beyond `far`."""
+    most = max(_noted(rollout), key=lambda each: float(each.stretches[-1]), default=None)
+    if most is not None and most.stretches[-1] > far:
+        yield (
+            f"{most}: bodies of the reference frame do not tear; if '{most.body}' should, use `world.frame: updated`"
+        )
+
+
+def _inverted(rollout: ReferenceRollout) -> Iterator[str]:
+    row, dt = rollout.bundle.least[VOLUME], rollout.model.dt
+    if row[FIRST] >= 0:
+        body = rollout.model.body_names[_body_of(rollout, int(row[COLUMN]))]
+        yield (
+            f"'{body}' is inverted from t = {row[FIRST] * dt:.4g} s on: its material is turned inside out, to a volume"
+            f" ratio of J = {row[VALUE]:.2g} at t = {row[STEP] * dt:.4g} s, which is not physical; load it less or more"
+            " slowly, or use a law that resists it (`neo_hookean`), a finer grid or smaller substeps"
+        )
+
+
+def _noted(rollout: ReferenceRollout) -> list[Noted]:
+    """Return the particle with the least principal stretch, and the one that was stretched most; none if unknown."""
+    found, dim = [], rollout.model.dim
+    for row in rollout.bundle.least[[LEAST, MOST]]:
+        if row[COLUMN] >= 0:
+            F = row[MATRIX : MATRIX + dim * dim].reshape(dim, dim)
+            stretches, k = np.linalg.svd(F, compute_uv=False)[::-1], _body_of(rollout, int(row[COLUMN]))
+            limit = _limit(rollout, k, int(rollout.model.layout.sources()[int(row[COLUMN])]), F)
+            substeps = 0 if limit <= 0 else int(np.ceil(rollout.model.substeps * rollout.model.dt / limit))
+            found.append(Noted(rollout.model.body_names[k], row[STEP] * rollout.model.dt, stretches, substeps))
+    return found
+
+
+def _body_of(rollout: ReferenceRollout, column: int) -> int:
+    particle = int(rollout.model.layout.sources()[column])
+    return next(k for k, part in enumerate(rollout.model.layout.slices()) if particle < part.stop)
+
+
+def _limit(rollout: ReferenceRollout, body: int, particle: int, F: Array) -> float:
+    """Return the largest stable substep for one particle at F [s]; infinite without stiffness."""
+    model, fields = rollout.model, rollout.inputs.fields
+    g = next(g for g, each in enumerate(model.groups) if body in each.bodies)
+    thetas = [theta[:, [particle - model.group_slices()[g].start]] for theta in rollout.inputs.terms[g]]
+    terms = [make(theta) for make, theta in zip(model.groups[g].kernel_terms, thetas, strict=True)]
+    q = wave_stiffness(terms, [theta[:, 0] for theta in thetas], F)
+    density = fields.mass[particle] / fields.volume[particle]
+    return float(LIMIT * model.dx * np.sqrt(density / q)) if q > 0 else float("inf")
+
+
+def wave_stiffness(terms: Sequence[Any], thetas: Sequence[Array], F: Array) -> float:
+    """Return the largest eigenvalue of the acoustic tensor [Pa] of a material at F (D, D); 0 if it is not finite.
+
+    Args:
+        terms: kernels' views of the terms of a stress. Those with a history are left out.
+        thetas: the parameters of each at one particle.
+    """
+    dim, h = len(F), DIFFERENCE * float(np.linalg.svd(F, compute_uv=False).min())
+
+    def P(F: Array) -> Array:
+        flat, tau = tuple(F.ravel().tolist()), np.zeros(dim * dim)
+        for term, theta in zip(terms, thetas, strict=True):
+            if not has_history(type(term)):
+                tau += np.array(kirchhoff(term, tuple(theta.tolist()), flat, (0.0,) * dim**2, ()), float)
+        return np.asarray(tau.reshape(dim, dim) @ np.linalg.inv(F).T)
+
+    A = np.zeros((dim, dim, dim, dim))
+    for k in range(dim):
+        for L in range(dim):
+            change = np.zeros((dim, dim))
+            change[k, L] = h
+            A[:, :, k, L] = (P(F + change) - P(F - change)) / (2.0 * h)
+    if not np.isfinite(A).all():
+        return 0.0
+    N = _directions(dim)
+    Q = np.einsum("iJkL,nJ,nL->nik", A, N, N)
+    return float(np.linalg.eigvalsh(0.5 * (Q + Q.transpose(0, 2, 1))).max())
+
+
+def _directions(dim: int) -> Array:
+    """Return unit vectors (n, D) that are spread evenly over half a circle or a sphere."""
+    k = np.arange(DIRECTIONS)
+    if dim == 2:
+        return np.stack([np.cos(np.pi * k / DIRECTIONS), np.sin(np.pi * k / DIRECTIONS)], axis=1)
+    z = 1.0 - (2.0 * k + 1.0) / DIRECTIONS
+    turn = k * np.pi * (3.0 - np.sqrt(5.0))
+    return np.stack([np.sqrt(1.0 - z * z) * np.cos(turn), np.sqrt(1.0 - z * z) * np.sin(turn), z], axis=1)
