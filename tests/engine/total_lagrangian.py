@@ -20,6 +20,7 @@ from touching import Meeting, Touching
 
 from cqrun.engine.model import Inputs, Model, Records
 from cqrun.engine.setting import node_positions
+from cqrun.engine.statics.holding import Planes
 
 
 def stencil(model: Model, X: Array) -> Iterator[tuple[Array, Array, Array]]:
@@ -104,19 +105,22 @@ def mean_shear_modulus(model: Model, inputs: Inputs) -> Array:
 class Acting:
     """The mean force and moment of each recorded boundary in each control step.
 
-    A node counts for the first boundary that holds it, with its arm from the mean of all such nodes. An obstacle's
+    Boundaries divide the impulse of a node as at rest, with arms from the mean of all nodes of a boundary. An obstacle's
     moment is about the world's origin.
     """
 
     def __init__(self, model: Model, present: Array) -> None:
         self.model, n_grid = model, int(np.prod(model.grid_shape))
         self.X = node_positions(model.grid_shape, model.dx)[np.arange(len(present)) % n_grid]
-        free, self.nodes = present.copy(), {name: np.zeros(0, int) for name in model.reactions}
-        for condition in model.conditions:
-            own = np.flatnonzero(condition.nodes[np.arange(len(present)) % n_grid] & free)
-            free[own] = False
-            if condition.name in self.nodes:
-                self.nodes[condition.name] = np.append(self.nodes[condition.name], own)
+        bits = sum(
+            (condition.nodes[np.arange(len(present)) % n_grid] & present).astype(int) << k
+            for k, condition in enumerate(model.conditions)
+        )
+        planes = Planes(model.conditions, model.size, bits, self.X)
+        self.nodes = {name: np.flatnonzero(planes.of(name)) for name in model.reactions}
+        self.parts = {
+            name: np.array([each.parts[name] for each in planes.shares(nodes)]) for name, nodes in self.nodes.items()
+        }
         self.rows: dict[str, list[Array]] = {name: [np.zeros(self.size)] for name in model.reactions}
         self.sums: dict[str, Array] = {}
 
@@ -132,7 +136,8 @@ class Acting:
         for name, nodes in self.nodes.items():
             if len(nodes):
                 arms = self.X[nodes] + u[nodes] - self.X[nodes].mean(axis=0)
-                self.add(name, impulse[nodes].sum(axis=0), turning(arms, impulse[nodes]).sum(axis=0))
+                taken = np.einsum("nij,nj->ni", self.parts[name], impulse[nodes])
+                self.add(name, taken.sum(axis=0), turning(arms, taken).sum(axis=0))
 
     def push(self, touching: Touching) -> None:
         for o, x, force in touching.pushed:
