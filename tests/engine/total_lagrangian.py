@@ -105,8 +105,8 @@ def mean_shear_modulus(model: Model, inputs: Inputs) -> Array:
 class Acting:
     """The mean force and moment of each recorded boundary in each control step.
 
-    Boundaries divide the impulse of a node as at rest, with arms from the mean of all nodes of a boundary. An obstacle's
-    moment is about the world's origin.
+    Boundaries divide the impulse of a node as at rest. The arm is from the mean of all nodes of a boundary. An
+    obstacle's moment is about the world's origin.
     """
 
     def __init__(self, model: Model, present: Array) -> None:
