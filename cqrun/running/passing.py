@@ -88,7 +88,7 @@ class Passing:
 
     def _outside(self, x: Array) -> Iterator[tuple[tuple[str, ...], int]]:
         out = ((x < 0) | (x > np.array(self.built.scene.world.size))).any(axis=1)
-        yield from self._by_body("world", out)
+        yield from self._by_body("world", np.asarray(out))
 
     def _by_body(self, kind: str, mask: Array, *more: str) -> Iterator[tuple[tuple[str, ...], int]]:
         for k, count in enumerate(np.bincount(self.body[mask], minlength=len(self.built.particles.names))):

@@ -100,8 +100,8 @@ def _inverted(rollout: ReferenceRollout) -> Iterator[str]:
         )
         yield (
             f"'{body}' is inverted from t = {row[FIRST] * dt:.4g} s on: its material is turned inside out{least}, which"
-            " is not physical; load it less or more slowly, or use a law that resists it (`neo_hookean`), a finer grid or"
-            " smaller substeps"
+            " is not physical; load it less or more slowly, or use a law that resists it (`neo_hookean`), a finer grid"
+            " or smaller substeps"
         )
 
 
