@@ -12,7 +12,7 @@ time, at stretches from 0.3 to 3, for both laws with nu 0.3 and 0.45.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from cqrun.engine.reference.stretch import COLUMN, FIRST, LEAST, MATRIX, MOST, S
 from cqrun.materials.term import has_history, kirchhoff
 from cqrun.plugin.contract import Array
 
-if TYPE_CHECKING:
-    from cqrun.engine.reference.rollout import ReferenceRollout
+ReferenceRollout = Any
+"""A rollout of rollout.py, which imports this file."""
 
 LIMIT = 1.1
 """Largest stable substep, in times in which a wave crosses a cell of the material as it is deformed."""
