@@ -188,6 +188,6 @@ class ReactionComparison(RestComparison):
         unit = self.spec.shown.name
         return [
             f"'{self.column}' has the wrong sign with the values found, too: it is {data:.4g} {unit}, and the model "
-            f"has {model:.4g} {unit}; so these values mean nothing: turn the sign in the file, or set `on` to the other "
-            "side"
+            f"has {model:.4g} {unit}; so these values mean nothing: turn the sign in the file, or set `on` to the "
+            "other side"
         ]
