@@ -6,7 +6,8 @@ The substep must be short enough for the fastest wave. A wave along N (a directi
 
 So a squeezed neo-Hookean body needs shorter substeps, but a fixed corotated one only if it is stretched. LIMIT was
 measured by power iteration on bodies with the same F everywhere: the largest stable substep was 1.08 to 1.22 of that
-time, at stretches from 0.3 to 3, for both laws with nu 0.3 and 0.45.
+time, at stretches from 0.3 to 3, for both laws with nu 0.3 and 0.45; 1.22 where one direction is much stiffer, as it is
+where this matters.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from cqrun.plugin.contract import Array
 ReferenceRollout = Any
 """A rollout of rollout.py, which imports this file."""
 
-LIMIT = 1.1
+LIMIT = 1.2
 """Largest stable substep, in times in which a wave crosses a cell of the material as it is deformed."""
 
 LONGER = 1.1
