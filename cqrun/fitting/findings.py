@@ -43,6 +43,12 @@ def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, ou
     elif outcome.status != "failed":
         _add_intervals(result, problem, outcome)
         records = write_predictions(run, cases, values, result, problem.threads, problem.interrupt)
+        result.findings[:0] = [
+            f"{case.name}: {sentence}"
+            for case, record in zip(cases, records, strict=True)
+            for comparison in (case.comparisons if record is not None else ())
+            for sentence in getattr(comparison, "wrong_at_the_end", lambda _: [])(record)
+        ]
         result.loss = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
     if outcome.status in ("iteration_limit", "stalled"):
         result.findings.append(f"{outcome.status.replace('_', ' ')}: values and intervals are those of the last point")

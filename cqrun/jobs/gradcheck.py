@@ -5,7 +5,8 @@ running/finite_differences.py compares along it.
 
 With data the loss is that of the fit, with unknowns in scaled coordinates (bounds are 1 apart). With a controller and
 an objective it is that of the first episode, as a function of the controller's parameters and the unknowns. Otherwise
-it is a random linear function of the final state, as a function of all numbers of the scene that gradients reach.
+it is a random linear function of the final state (with `job: rest` of the equilibria), as a function of all numbers of
+the scene that gradients reach.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from cqrun.fitting.case import Case
 from cqrun.fitting.cases import given_cases, is_fit, made_cases
 from cqrun.fitting.fit_loss import fit_loss
 from cqrun.jobs.job import NO_FILES, Job
+from cqrun.jobs.rest import require_no_time
 from cqrun.learning.agent import Agent
 from cqrun.learning.episode_loss import episode_loss
 from cqrun.learning.episodes import EpisodeProblem, has_episodes
@@ -42,6 +44,7 @@ from cqrun.running.finite_differences import (
 from cqrun.running.gradient_memory import gradient_plan
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter
+from cqrun.running.rest_loss import rest_loss
 from cqrun.running.runs import build_and_warn
 from cqrun.running.state_loss import state_loss
 from cqrun.scene.load import load_scene
@@ -91,8 +94,11 @@ class Gradcheck(Job[GradientCheck, GradcheckResult]):
         self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES
     ) -> GradientCheck:
         """Build a scene, and read its data if it has a fit; raise SceneError if gradients do not fit the memory."""
+        if at_rest(scene):
+            require_no_time(scene)
         built = build_and_warn(scene, talk)
-        gradient_plan(built)
+        if not at_rest(scene):
+            gradient_plan(built)
         cases = given_cases(built) if has_data(built.scene) else None
         episodes = EpisodeProblem(Agent(built), threads=threads) if has_episodes(built.scene) else None
         return GradientCheck(built, cases, episodes, threads)
@@ -108,25 +114,27 @@ class Gradcheck(Job[GradientCheck, GradcheckResult]):
             RunError: the scene blows up with its start values. StopAsked: asked to stop.
         """
         built, cases, episodes, threads = prepared.built, prepared.cases, prepared.episodes, prepared.threads
-        moving = [built] if cases is None else [case.built for case in cases if not case.points]
+        moving = [built] * (not at_rest(built.scene)) if cases is None else [c.built for c in cases if not c.points]
         compile_kernels(moving, talk, adjoint=True)
         run.begin(threads)
         if has_data(built.scene) and cases is None:
             talk.phase(f"making data, {about(built.model)}")
             cases = made_cases(run, built, talk.stop.check)
-        talk.phase(f"computing the gradient, {about(built.model, gradients=True)}")
+        lasts = "" if at_rest(built.scene) else f", {about(built.model, gradients=True)}"
+        talk.phase(f"computing the gradient{lasts}")
         try:
             if episodes is not None:
                 loss = episode_loss(episodes)
             else:
-                loss = state_loss(built, threads) if cases is None else fit_loss(built, cases, threads)
+                alone = rest_loss if at_rest(built.scene) else state_loss
+                loss = alone(built, threads) if cases is None else fit_loss(built, cases, threads)
             loss = loss.interrupted_by(talk.stop.check)
             value, gradient = loss.value_and_grad(loss.x)
         except (RolloutError, TrialFailed) as error:
             run.finish("failed", f"with the start values: {error}")
             raise RunError(f"{run.path}: with the start values: {error}") from error
-        lasts = about(built.model)
-        talk.phase(f"checking {len(loss.params.blocks)} blocks by {2 * len(STEPS)} rollouts each, {lasts}")
+        lasts = "equilibria each" if at_rest(built.scene) else f"rollouts each, {about(built.model)}"
+        talk.phase(f"checking {len(loss.params.blocks)} blocks by {2 * len(STEPS)} {lasts}")
         chosen = directions(loss.params, np.random.default_rng(built.scene.seed))
         rows: list[Direction] = []
         for number, (block, d) in enumerate(chosen.items()):
@@ -172,6 +180,11 @@ def run_gradcheck(
 def has_data(scene: Scene) -> bool:
     """Return whether a scene has a fit to differentiate."""
     return is_fit(scene)
+
+
+def at_rest(scene: Scene) -> bool:
+    """Return whether the gradients of a scene are those of equilibria."""
+    return scene.job == "rest"
 
 
 def _worst(verdicts: Iterable[Verdict]) -> Verdict:

@@ -59,9 +59,7 @@ class RestJob(Job[Resting, RestResult]):
 
     def prepare(self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES) -> Resting:
         """Build a scene, and refuse what needs time."""
-        problems = [*_needs_time(scene)]
-        if problems:
-            raise SceneError([Problem(scene.where(path), path, message) for path, message in problems])
+        require_no_time(scene)
         built = build_and_warn(scene, talk)
         idle = [Problem(scene.where(path), path, message) for path, message in _idle(scene)]
         for problem in idle:
@@ -148,6 +146,12 @@ class RestJob(Job[Resting, RestResult]):
 
 
 REST = RestJob("rest", RestResult, pictures=("bodies", "path"))
+
+
+def require_no_time(scene: Scene) -> None:
+    """Raise a SceneError for what has no meaning at rest."""
+    if problems := [Problem(scene.where(path), path, message) for path, message in _needs_time(scene)]:
+        raise SceneError(problems)
 
 
 def _needs_time(scene: Scene) -> Iterator[tuple[str, str]]:

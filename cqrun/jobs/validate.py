@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cqrun.build.check_grid import nearest_nodes
+from cqrun.build.load_path import points_of
 from cqrun.build.model import Built, build
 from cqrun.build.thickness import thinnest_parts
 from cqrun.engine.frames import make_rollout
@@ -17,6 +18,7 @@ from cqrun.explain import listed
 from cqrun.fitting.case import Case
 from cqrun.fitting.cases import given_cases, is_fit, recording_warnings
 from cqrun.jobs.control import CODESIGN, CONTROL
+from cqrun.jobs.gradcheck import at_rest
 from cqrun.jobs.rest import REST
 from cqrun.jobs.sysid import SYSID, with_optimizer
 from cqrun.jobs.table import JOBS
@@ -54,13 +56,14 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     for name in built.particles.names:
         yield from _body(built, name, thinnest[name])
     yield from _actuators(built)
-    yield from _time(built)
+    yield from _rest(built) if at_rest(scene) else _time(built)
     if built.scene.unknowns:
         yield from _unknowns(built)
     yield from _data(built, cases)
     if agent is not None:
         yield from control_lines(agent, episodes)
-    yield from _cost(built, episodes)
+    if not at_rest(scene):
+        yield from _cost(built, episodes)
     for warning in (*built.warnings, *recording_warnings(built, cases or [])):
         yield f"warning: {warning}"
 
@@ -146,6 +149,14 @@ def _time(built: Built) -> Iterator[str]:
     for limit in built.limits:
         if limit is not least:
             yield line("", f"limit of {limit.part}: {number(limit.dt)} s")
+
+
+def _rest(built: Built) -> Iterator[str]:
+    """Yield what matters at rest: the points, and the size of the system of each."""
+    points, dim = points_of(built), built.model.dim
+    along = f", along {listed(points[0])}" if points[0] else ", under the loads of the scene"
+    yield line("rest", f"{len(points)} point{'s' * (len(points) != 1)}{along}")
+    yield line("", f"{dim * built.model.n_nodes:,} displacements of {built.model.n_nodes:,} nodes in each")
 
 
 # --- unknowns and data --------------------------------------------------------------------------------------

@@ -160,6 +160,10 @@ class RestComparison(Comparison):
         """Return what is probably wrong, for the model's records at the `telling` points."""
         return []
 
+    def wrong_at_the_end(self, records: Records) -> list[str]:
+        """Return what is wrong beyond doubt, for the model's records at all points with the values of the result."""
+        return []
+
     @property
     def point_names(self) -> tuple[str, ...]:
         """What each point is called in messages, such as pose 'up'."""

@@ -234,3 +234,18 @@ class ReactionComparison(RestComparison):
         if not (model * data < 0 and abs(model) > TELLS * abs(data)):
             return []
         return [may_be_opposite(self.column, self.spec, self.sign, data, model, "the values that the fit starts from")]
+
+    def wrong_at_the_end(self, records: Records) -> list[str]:
+        """Return a sentence if the model's value at the last `telling` point still has the wrong sign."""
+        if not self.telling:
+            return []
+        k = self.telling[-1]
+        model, data = float(self.observe(records)[k + 1, 0, 0]), float(self.data[k, 0, 0])
+        if not (model * data < 0 and abs(model) > TELLS * abs(data)):
+            return []
+        unit = self.spec.shown.name
+        return [
+            f"'{self.column}' has the wrong sign with the values found, too: it is {data:.4g} {unit}, and the model "
+            f"has {model:.4g} {unit}; so these values mean nothing: turn the sign in the file, or set `on` to the "
+            "other side"
+        ]

@@ -62,7 +62,7 @@ def state_loss(built: Built, threads: int) -> Loss:
 
     Each part is divided by its root mean square, so that all parts count.
     """
-    params = Params(tuple(_block(built, path) for path in _reached(built)))
+    params = Params(tuple(block_of(built, path) for path in reached(built)))
     rng = np.random.default_rng(built.scene.seed)
 
     def final(x: Array, adjoint: bool) -> Rollout:
@@ -76,16 +76,16 @@ def state_loss(built: Built, threads: int) -> Loss:
 
     n_controls = built.model.n_controls
     state = last_state(params.start)
-    weights = _weights(state, rng)
+    weights = drawn_weights(state, rng)
 
     def value(x: Array) -> float:
-        return _product(last_state(x), weights)
+        return product_of(last_state(x), weights)
 
     def value_and_grad(x: Array) -> tuple[float, Array]:
         losses: list[float] = []
 
         def loss_bar(records: Records, state: State) -> LossBar:
-            losses.append(_product(state, weights))
+            losses.append(product_of(state, weights))
             return LossBar(final=weights)
 
         _, bar = final(x, adjoint=True).gradient(loss_bar)
@@ -95,7 +95,8 @@ def state_loss(built: Built, threads: int) -> Loss:
     return Loss("a random function of the final state", params, params.start, value, value_and_grad, scale)
 
 
-def _reached(built: Built) -> list[str]:
+def reached(built: Built) -> list[str]:
+    """Return the key paths of all numbers that gradients reach."""
     return [
         canonical(built.scene, path)
         for path in leaves(built.scene, differentiable=True)
@@ -103,7 +104,7 @@ def _reached(built: Built) -> list[str]:
     ]
 
 
-def _block(built: Built, path: str) -> Block:
+def block_of(built: Built, path: str) -> Block:
     """Return a number of the scene as a block with bounds at 0.5 and 1.5 times it; scaled steps are relative."""
     info = leaf(built.scene, path)
     value = float(info.value)
@@ -111,7 +112,9 @@ def _block(built: Built, path: str) -> Block:
     return Block(path, value - half, value + half, False, np.array(value))
 
 
-def _weights(state: State, rng: np.random.Generator) -> State:
+def drawn_weights(state: State, rng: np.random.Generator) -> State:
+    """Return random weights of a state's parts, each divided by its root mean square."""
+
     def drawn(a: Array) -> Array:
         size = float(np.sqrt(np.mean(a**2)))
         return rng.normal(size=a.shape) / (size if size > 0 else 1.0)
@@ -125,5 +128,6 @@ def _pairs(state: State, weights: State) -> list[tuple[Array, Array]]:
     return [(array, weights.arrays[name]) for name, array in state.arrays.items()]
 
 
-def _product(state: State, weights: State) -> float:
+def product_of(state: State, weights: State) -> float:
+    """Return the sum of a state's numbers times weights."""
     return float(sum(np.vdot(a, w) for a, w in _pairs(state, weights)))

@@ -132,3 +132,33 @@ def test_a_scene_for_sysid_needs_data_and_unknowns(beam):
     changed(beam, "title: a small cantilever", "job: sysid")
     with pytest.raises(SceneError, match="unknowns: sysid needs it"):
         told(beam)
+
+
+def test_a_scene_at_rest_shows_its_points_and_no_motion(tmp_path):
+    (tmp_path / "rest.yaml").write_text(AT_REST)
+    text = "\n".join(validate(tmp_path / "rest.yaml"))
+    assert "rest       2 points, along boundaries.clamp.sticky.rotation.0" in text
+    assert " displacements of " in text
+    assert "substep" not in text
+    assert "memory" not in text
+
+
+def test_what_rest_refuses_is_not_called_valid(tmp_path):
+    (tmp_path / "rest.yaml").write_text(AT_REST + "  floor: {friction: {face: y_min, coefficient: 0.5}}\n")
+    with pytest.raises(SceneError, match="an equilibrium does not feel `friction` boundaries yet"):
+        list(validate(tmp_path / "rest.yaml"))
+
+
+AT_REST = """
+cqrun: 1
+job: rest
+world: {size: [0.1, 0.1], dx: 0.01, gravity: [0, -9.81]}
+path: {boundaries.clamp.sticky.rotation.0: [0, 0.1]}
+bodies:
+  beam:
+    shape: {box: {corner: [0.02, 0.05], size: [0.03, 0.02]}}
+    particles_per_cell: 4
+    material: {density: 1000, elastic: {neo_hookean: {youngs_modulus: 2.0e4, poissons_ratio: 0.3}}}
+boundaries:
+  clamp: {sticky: {region: {box: {corner: [0, 0], size: [0.03, 0.1]}}, rotation: [0]}}
+"""
