@@ -71,7 +71,7 @@ class Rest:
         negative: whether the stiffness matrix had a negative eigenvalue on the way to, or at, the answer.
         smallest: smallest eigenvalue of the preconditioned matrix that the last step saw; zero at a limit point.
         stuck: whether no step made the residual smaller.
-        crossed: whether any step met negative curvature.
+        troubled: whether any step met negative curvature or had to be shortened.
         rounded: whether rounding ended the search above the tolerance.
     """
 
@@ -83,7 +83,7 @@ class Rest:
     negative: bool
     smallest: float
     stuck: bool
-    crossed: bool = False
+    troubled: bool = False
     rounded: bool = False
 
 
@@ -97,16 +97,17 @@ def find_rest(system: System, u: Array, load: float, tolerance: float) -> Rest:
     r = system.net(u)
     size, eta = _size(r), LOOSEST
     steps = products = 0
-    negative, crossed, stuck, smallest, best, in_vain = False, False, False, float("nan"), size, 0
+    negative, troubled, stuck, smallest, best, in_vain = False, False, False, float("nan"), size, 0
     while size > tolerance * load and steps < MOST_STEPS and not stuck:
         system.linearise(u)
         eta = max(eta, min(LOOSEST, 0.3 * tolerance * load / size))
         found = conjugate_gradients(system.product, r, system.precondition, eta, MOST_PRODUCTS)
         steps, products = steps + 1, products + found.iterations
-        negative, crossed = found.negative, crossed or found.negative
+        negative = found.negative
         smallest = found.smallest if np.isfinite(found.smallest) else smallest
         before = size
-        u, r, size, stuck = _step(system, u, r, size, found.x)
+        u, r, size, part = _step(system, u, r, size, found.x)
+        stuck, troubled = part == 0.0, troubled or negative or part < 1.0
         eta = min(LOOSEST, FORCING * (size / before) ** 2)
         in_vain = 0 if size <= 0.5 * best else in_vain + 1
         best = min(best, size)
@@ -115,20 +116,20 @@ def find_rest(system: System, u: Array, load: float, tolerance: float) -> Rest:
     exact = size <= tolerance * load
     rounded = not exact and size <= FLOOR * load and (stuck or in_vain >= IN_VAIN)
     relative = size / load if load > 0 else size
-    return Rest(u, relative, exact or rounded, steps, products, negative, smallest, stuck, crossed, rounded)
+    return Rest(u, relative, exact or rounded, steps, products, negative, smallest, stuck, troubled, rounded)
 
 
-def _step(system: System, u: Array, r: Array, size: float, p: Array) -> tuple[Array, Array, float, bool]:
-    """Return the displacement, net force and its size after a step along p, and whether no step helps."""
+def _step(system: System, u: Array, r: Array, size: float, p: Array) -> tuple[Array, Array, float, float]:
+    """Return the displacement, net force and its size after a step along p, and the part of p that helps; 0 if none."""
     slope, a = dot(r, p), 1.0
     while a >= SHORTEST:
         trial = u + a * p
         r_trial = system.net(trial)
         size_trial = _size(r_trial)
         if np.isfinite(size_trial) and (-0.5 * slope <= dot(r_trial, p) < slope or size_trial <= 0.9 * size):
-            return trial, r_trial, size_trial, False
+            return trial, r_trial, size_trial, a
         a *= 0.5
-    return u, r, size, True
+    return u, r, size, 0.0
 
 
 def _size(r: Array) -> float:

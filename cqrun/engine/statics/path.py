@@ -31,14 +31,14 @@ HALVINGS = 6
 """Most halvings of the way to a point."""
 
 UNEXPECTED = 3.0
-"""A displacement that is larger than expected from either end by this factor is followed in small steps."""
+"""A displacement that is larger than expected from either end by this factor is not smooth; where a body buckles, and
+displacement grows with the root of the load, the factor is 2."""
 
-BISECTIONS = 5
+BISECTIONS = 6
 """How often the part of the way with the larger change is halved then."""
 
-JUMP = 0.5
-"""Part of the whole change that the last of these intervals has if displacement jumps there; where a body buckles, and
-displacement grows with the root of the load, it has 2^-2.5 = 0.18 of it."""
+JUMP = 0.1
+"""Part of the whole change that the last of these intervals has at least if displacement jumps there."""
 
 
 @dataclass(frozen=True)
@@ -192,17 +192,16 @@ class RestPath:
         """Return a point with the jump of displacement on the way from the last one, if there is any.
 
         On one branch a small step moves the body as far as the linear equations at either end say. If it moves much
-        farther, or if Newton's method met negative curvature, the way is bisected towards the larger change. A jump
-        keeps its size then, and a smooth change does not.
+        farther, or if Newton's method had trouble, the way is bisected towards the larger change. A jump keeps its size
+        then, and is farther than expected; a smooth change is neither.
         """
         end = point.rest.u
         moved = _size(here, end - u)
         if not moved > 0.0:
             return point
-        if not point.rest.crossed:
-            ways = here.first_step(u), self.equilibrium(before).first_step(end)
-            if moved <= UNEXPECTED * min(_size(here, way) for way in ways):
-                return point
+        ends = self.equilibrium(before), here
+        if not point.rest.troubled and not point.halvings and not _unexpected(*ends, u, end):
+            return point
         low, high, u_high = 0.0, 1.0, end
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
@@ -213,7 +212,8 @@ class RestPath:
                 high, u_high = middle, rest.u
             else:
                 low, u = middle, rest.u
-        if _size(here, u_high - u) <= JUMP * moved:
+        last = [self.equilibrium(between(before, here.rollout.inputs, part)) for part in (low, high)]
+        if _size(here, u_high - u) <= JUMP * moved or not _unexpected(last[0], last[1], u, u_high):
             return point
         return replace(point, jump=float(_motion(here, u_high - u).max()), jump_at=high)
 
@@ -270,6 +270,12 @@ def _motion(here: Equilibrium, u: Array) -> Array:
     Nodes that hardly touch the body may move much farther.
     """
     return np.asarray(np.linalg.norm(here.state(u).x - here.rollout.inputs.state.x, axis=1))
+
+
+def _unexpected(first: Equilibrium, last: Equilibrium, u: Array, end: Array) -> bool:
+    """Return whether two equilibria are farther apart than the linear equations at one of them say."""
+    ways = last.first_step(u), first.first_step(end)
+    return _size(last, end - u) > UNEXPECTED * min(_size(last, way) for way in ways)
 
 
 def _size(here: Equilibrium, u: Array) -> float:
