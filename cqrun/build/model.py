@@ -16,6 +16,7 @@ from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_frame import frame_problems
 from cqrun.build.check_grid import grid_warnings
 from cqrun.build.check_units import require_possible_plan, unit_questions
+from cqrun.build.conditions import all_conditions
 from cqrun.build.contact import contact_limits, contact_parts
 from cqrun.build.history import fields_of
 from cqrun.build.limits import (
@@ -32,9 +33,8 @@ from cqrun.build.limits import (
 from cqrun.build.particles import Particles, sample, stress_key
 from cqrun.build.raster import Raster, rasterised
 from cqrun.build.reactions import needed_boundaries
-from cqrun.build.regions import boundary
 from cqrun.build.volumes import averages, locking_bodies
-from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
+from cqrun.engine.model import GroupModel, Model
 from cqrun.engine.reference.patches import count_nodes
 from cqrun.errors import Problem, SceneError
 from cqrun.materials.term import is_stress
@@ -104,7 +104,7 @@ def build(scene: Scene) -> Built:
         warnings += _check_substeps(scene, bounds) or _check_corner(scene, limits)
     require_possible_plan(scene, bounds)
     warnings += _too_slow(scene, assembly)
-    conditions = _conditions(scene)
+    conditions = all_conditions(scene)
     if problems := frame_problems(scene, particles, conditions):
         raise SceneError(problems)
     surface, obstacles, meeting, conditions = contact_parts(scene, particles, assembly, conditions)
@@ -203,22 +203,6 @@ def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[Gro
         shear, wave = tuple(spec.shear_modulus for spec in specs), tuple(spec.wave_modulus for spec in specs)
         groups.append(GroupModel(tuple(indices), makers, tuple(active), history, shear, wave))
     return tuple(groups)
-
-
-def _conditions(scene: Scene) -> tuple[ConditionModel, ...]:
-    conditions: list[ConditionModel] = []
-    for name, chosen in scene.boundaries.items():
-        spec: Any = boundary(scene, name)
-        planes = conditions_of(name, spec, np.array(scene.world.size), scene.world.dx)
-        if scene.world.frame != "reference" and not any(plane.nodes.any() for plane in planes):
-            path = f"boundaries.{name}.{chosen.name}.region"
-            message = f"holds no grid node: it is thinner than a cell of {scene.world.dx:g} m, or outside the world"
-            raise SceneError([Problem(scene.where(path), path, message)])
-        conditions += planes
-    if len(conditions) > 60:
-        message = f"there are {len(conditions)} planes of boundaries, but at most 60 are possible: join some"
-        raise SceneError([Problem(scene.where("boundaries"), "boundaries", message)])
-    return tuple(conditions)
 
 
 def _too_slow(scene: Scene, assembly: Assembly) -> list[Problem]:

@@ -33,8 +33,9 @@ from cqrun.running.rest_table import RestTable, rest_frames, write_frame
 from cqrun.running.runs import build_and_warn
 from cqrun.running.tables import number, table
 from cqrun.scene.schema import Scene
+from cqrun.store.rest_point import RestPoint
 from cqrun.store.rest_points import delete_points, read_point, write_point
-from cqrun.store.result import RestPoint, RestResult, write_result
+from cqrun.store.result import RestResult, write_result
 from cqrun.store.run import RunDirectory
 
 TOLERANCE = 1e-8

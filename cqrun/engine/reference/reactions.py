@@ -45,7 +45,8 @@ from cqrun.plugin.contract import Array
 class Reactions(NamedTuple):
     """What boundaries hold and touch, and how much of a control step's reactions is summed."""
 
-    node: Array  # (H,) the nodes that boundaries hold
+    node: Array  # (H,) the nodes that boundaries hold, in order; one that several hold has a row for each
+    begin: Array  # where the rows of each node begin, and their number: threads divide the nodes, not the rows
     owner: Array  # (H,) the row of each one's boundary among those that are recorded
     arm: Array  # (H, 3) X_n - C [m]
     part: Array  # (H, 3, 3) of the node's impulse that the boundary takes
@@ -96,10 +97,18 @@ def make_reactions(
     part[:, : model.dim, : model.dim] = np.concatenate(
         [np.zeros((0, model.dim, model.dim)), *(holder.parts for holder in found.values())]
     )
+    order = np.argsort(node, kind="stable")
+    node, owner, arm, part = (
+        node[order],
+        np.concatenate([np.zeros(0, np.int64), *owner])[order],
+        arm[order],
+        part[order],
+    )
+    begin = np.append(np.unique(node, return_index=True)[1], len(node)).astype(np.int64)
     n, pushes = len(node), tuple(p for each in obstacles for p in each.pushes)
     return (
         Reactions(
-            node, np.concatenate([np.zeros(0, np.int64), *owner]), in_3d(arm), part, _places(model, bits[node]), first,
+            node, begin, owner, in_3d(arm), part, _places(model, bits[node]), first,
             np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, REACTION)), pushes, np.full(2, -1),
             np.zeros((model.n_controls, len(names), REACTION)),
         ),
@@ -270,8 +279,8 @@ def impulses_vjp(
     """Add the adjoint of m v' to the cotangents of masses and of velocities after a substep, before other passes."""
     (reactions, back), dt = pair, run.setting.dt
     per = 1.0 / (run.setting.substeps * dt)
-    lo, hi = share(len(reactions.node), crew.thread, crew.n_threads)
-    for h in range(lo, hi):
+    lo, hi = share(len(reactions.begin) - 1, crew.thread, crew.n_threads)
+    for h in range(reactions.begin[lo], reactions.begin[hi]):
         n, total, m = reactions.node[h], 0.0, float(run.nodes.mass[reactions.node[h]])
         a = arm_of(reactions, h, at.u)
         if reversed_:  # at.u is not known yet
@@ -293,8 +302,8 @@ def impulses_vjp(
 def forces_vjp(pair: tuple[Reactions, ReactionBars], run: NodeRun, bars: NodeBars, crew: Crew) -> None:
     """Add the adjoint of the nodes' forces to what `nodes.begin_vjp` has found."""
     (reactions, back), dt = pair, run.setting.dt
-    lo, hi = share(len(reactions.node), crew.thread, crew.n_threads)
-    for h in range(lo, hi):
+    lo, hi = share(len(reactions.begin) - 1, crew.thread, crew.n_threads)
+    for h in range(reactions.begin[lo], reactions.begin[hi]):
         n = reactions.node[h]
         for d in range(3):
             bars.pairs[2 * n + 1, d] -= dt * back.impulse[h, d]
@@ -310,8 +319,8 @@ def before_vjp(
     """Add the rest of the adjoint to the cotangents of the state before a substep, after all other passes."""
     (reactions, back), dt = pair, run.setting.dt
     per = 1.0 / (run.setting.substeps * dt)
-    lo, hi = share(len(reactions.node), crew.thread, crew.n_threads)
-    for h in range(lo, hi):
+    lo, hi = share(len(reactions.begin) - 1, crew.thread, crew.n_threads)
+    for h in range(reactions.begin[lo], reactions.begin[hi]):
         n, total, kept = reactions.node[h], 0.0, float(run.nodes.kept[reactions.node[h]])
         for d in range(3):
             v = float(at.v[n, d])
