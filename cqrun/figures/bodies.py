@@ -85,10 +85,11 @@ def farthest_frame(frames: Frames) -> int:
 
 
 def title_of(run: RunData, shot: Snapshot) -> str:
-    """Return the time of a frame in words; a path of equilibria has points in place of times."""
-    if run.job != "rest":
+    """Return the time of a frame in words; equilibria have points of a path, or lines of a file, in place of times."""
+    fits_lines = run.job == "sysid" and run.has_tables() and run.tracks()[0].at_rest
+    if run.job != "rest" and not fits_lines:
         return f"t = {shot.time:.4g} s"
-    return "rest shape" if shot.time == 0 else f"point {shot.time:.0f}"
+    return "rest shape" if shot.time == 0 else f"{'line' if fits_lines else 'point'} {shot.time:.0f}"
 
 
 def draw_bodies(run: RunData) -> Figure:

@@ -42,6 +42,8 @@ def draw_path(run: RunData) -> Figure:
     key = next(iter(scene.path))
     along = columns.get(key, columns["point"])
     unit = "1" if key.startswith(ACTIVATION) else leaf(scene, key).unit
+    if unit == "N" and scene.dim == 2:
+        unit = "N/m"  # of depth
     moved = {name: 1e3 * size for name, size in _displacements(run, columns).items()}
     forces = {name: _length(columns, f"{name}.force_") for name in scene.boundaries if f"{name}.force_x" in columns}
     panels = [("displacement [mm]", moved), (f"reaction [{'N' if scene.dim == 3 else 'N/m'}]", forces)]

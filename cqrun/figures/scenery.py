@@ -88,6 +88,8 @@ def window_with_goals(plane: Array, look: View, marked: Sequence[Goal], size: Ar
 def inside_boundaries(scene: Scene, points: Array, towards: Array | None = None) -> Array:
     """Return whether each of the points (n, D) is inside a boundary: (n,) of bool.
 
+    A clamp that moves is left out: it is where its particles are, and its region says only where it began.
+
     Args:
         scene: the scene.
         points: the points (n, D) [m].
@@ -97,6 +99,8 @@ def inside_boundaries(scene: Scene, points: Array, towards: Array | None = None)
     world = np.array(scene.world.size)
     for name in scene.boundaries:
         condition: Any = boundary(scene, name)
+        if getattr(condition, "moves", False):
+            continue
         for where, normal in condition.places(points, world):
             hides = towards is not None and condition.region is None and np.array(normal) @ towards < -1e-9
             if not hides:

@@ -168,3 +168,13 @@ def test_goals_and_courses_are_inside_the_window(tmp_path):
     assert marks == {(180, 20), (10, 90), (100, 50)}
     for place in marks:
         assert axes.viewLim.contains(*place)
+
+
+def test_a_clamp_that_moves_is_not_drawn_where_it_began():
+    still = load_scene(plane_scene({}))
+    view = views(still, np.zeros((1, 2)))[0]
+    corners = np.array([[-0.01, 0.0], [0.09, 0.1]])
+    (name, kind), *_ = ((name, chosen.name) for name, chosen in still.boundaries.items())
+    moved = load_scene(plane_scene({}), [f"boundaries.{name}.{kind}.displacement=[0.01, 0]", "world.frame=reference"])
+    assert boundary_section(still, view, corners, np.zeros(2))[2].any()
+    assert not boundary_section(moved, view, corners, np.zeros(2))[2].any()
