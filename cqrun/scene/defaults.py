@@ -24,8 +24,9 @@ def with_defaults(scene: Any) -> Any:
     filled = _filled(Sections, scene, defaults)
     if scene.get("job") == "rest" and "time" not in scene:  # rest has none, but the same scene may move
         filled["time"] = {"duration": 1.0, "control_step": 1.0}
-    if scene.get("job") == "sysid" and "time" not in scene and _all_at_rest(_mapping(scene.get("data"))):
-        filled["time"] = {"duration": 0.01, "control_step": 0.01}
+    given = scene.get("time", {})
+    if scene.get("job") == "sysid" and isinstance(given, dict) and _all_at_rest(_mapping(scene.get("data"))):
+        filled["time"] = {"duration": 0.01, "control_step": 0.01, **given}
     target = _mapping(_mapping(scene.get("data")).get("target"))
     if target and "only body" in defaults:  # is refused, and the advice names the body
         filled["data"] = {**filled["data"], "target": {"body": defaults["only body"], **target}}
