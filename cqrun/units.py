@@ -30,6 +30,11 @@ class Unit(NamedTuple):
         return f"{text} ({self.name})" if self.name else text
 
 
+def force_units(dim: int) -> tuple[str, str]:
+    """Return the units of a force and of a moment; those of a 2D world are per metre of depth."""
+    return ("N", "N m") if dim == 3 else ("N/m", "N")
+
+
 def parse_bytes(text: str) -> int:
     """Return the number of bytes in `2GiB`, `500 MB`, ...; raise a ValueError that says what is legal."""
     match = _AMOUNT.fullmatch(text.strip())

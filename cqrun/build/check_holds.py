@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cqrun.build.alignment import grid_offset
+from cqrun.build.alignment import HOLDS, grid_offset
 from cqrun.build.particles import Particles
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.reference.held import held_at
@@ -56,9 +56,7 @@ def held_problem(scene: Scene, body: str, ways: int) -> Problem:
 
 def hold_warnings(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[Problem]:
     """Yield warnings about bodies that cannot move at all, and about nodes that two boundaries hold alike."""
-    if scene.world.frame != "reference" or not any(
-        c.spec.name == "sticky" or c.spec.name == "slip" for c in conditions
-    ):
+    if scene.world.frame != "reference" or not any(condition.spec.name in HOLDS for condition in conditions):
         return
     nodes = reached_nodes(scene, particles)
     planes = _planes(scene, nodes, conditions)

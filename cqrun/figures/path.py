@@ -14,6 +14,7 @@ from cqrun.figures.style import new_figure
 from cqrun.plugin.contract import Array
 from cqrun.scene.load_path import ACTIVATION
 from cqrun.scene.paths import leaf
+from cqrun.units import force_units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,11 +43,12 @@ def draw_path(run: RunData) -> Figure:
     key = next(iter(scene.path))
     along = columns.get(key, columns["point"])
     unit = "1" if key.startswith(ACTIVATION) else leaf(scene, key).unit
-    if unit == "N" and scene.dim == 2:
-        unit = "N/m"  # of depth
+    force, _ = force_units(scene.dim)
+    if unit == "N":
+        unit = force
     moved = {name: 1e3 * size for name, size in _displacements(run, columns).items()}
     forces = {name: _length(columns, f"{name}.force_") for name in scene.boundaries if f"{name}.force_x" in columns}
-    panels = [("displacement [mm]", moved), (f"reaction [{'N' if scene.dim == 3 else 'N/m'}]", forces)]
+    panels = [("displacement [mm]", moved), (f"reaction [{force}]", forces)]
     panels = [(label, lines) for label, lines in panels if lines]
     figure = new_figure(3.4 * len(panels), 2.8)
     for k, (label, lines) in enumerate(panels, start=1):

@@ -48,6 +48,7 @@ from cqrun.state import State
 from cqrun.store.reactions import Reactions
 from cqrun.store.result import BodyMotion, SimulateResult, write_result
 from cqrun.store.run import RunDirectory
+from cqrun.units import force_units
 
 UNTRAINED = "the controller has learned nothing yet: it uses the parameters that it starts from"
 
@@ -163,7 +164,7 @@ class Simulate(Job[Simulation, SimulateResult]):
                 (name, ", ".join(map(number, force.mean)), number(force.largest))
                 for name, force in result.boundaries.items()
             ]
-            unit = "N" if all(len(force.mean) == 3 for force in result.boundaries.values()) else "N/m"
+            unit, _ = force_units(max(len(force.mean) for force in result.boundaries.values()))
             yield ""
             yield from table(("boundary", f"mean force on the bodies [{unit}]", f"largest [{unit}]"), forces)
         if result.terms is not None and result.loss is not None:

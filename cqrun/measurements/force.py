@@ -143,8 +143,7 @@ class Force(Reaction):
     motion, `time` names the column with the times; the model's force is the mean over each control step, at the middle
     of the step, and linear between. The force of a boundary is the sum over the nodes that it holds, or over the points
     that touch it. Of a node that several boundaries hold, a `slip` takes the force along its normal, and a `sticky` the
-    rest; of two `sticky` ones the first takes all. The scene needs
-    `world.frame: reference`.
+    rest; of two `sticky` ones the first takes all. The scene needs `world.frame: reference`.
     """
 
     quantity: ClassVar[str] = "force"

@@ -129,10 +129,10 @@ class Passing:
     def _strangers(self, x: Array) -> tuple[Array, Array]:
         """Return ordered pairs of particles that are near each other and of different matter."""
         X, dx = self.built.particles.x, self.built.model.dx
-        mixed = x[_mixed(x, X, self.body, dx)], np.flatnonzero(_mixed(x, X, self.body, dx))
-        if not len(mixed[0]):
-            return np.zeros(0, int), np.zeros(0, int)
-        pairs = mixed[1][cKDTree(mixed[0]).query_pairs(0.5 * dx, output_type="ndarray")]
+        mixed = np.flatnonzero(_mixed(x, X, self.body, dx))
+        if not len(mixed):
+            return mixed, mixed
+        pairs = mixed[cKDTree(x[mixed]).query_pairs(0.5 * dx, output_type="ndarray")]
         apart = np.linalg.norm(X[pairs[:, 0]] - X[pairs[:, 1]], axis=1) > FAR * dx
         pairs = pairs[apart | (self.body[pairs[:, 0]] != self.body[pairs[:, 1]])]
         return np.concatenate([pairs[:, 0], pairs[:, 1]]), np.concatenate([pairs[:, 1], pairs[:, 0]])

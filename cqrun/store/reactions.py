@@ -15,6 +15,7 @@ import numpy as np
 from cqrun.plugin.contract import Array
 from cqrun.store.hdf5 import checksum, member, numbers
 from cqrun.store.model_file import Part
+from cqrun.units import force_units
 
 if TYPE_CHECKING:
     import h5py
@@ -62,7 +63,7 @@ class Reactions:
 
 def write_reactions(file: h5py.File, reactions: Reactions) -> None:
     """Write reactions to a trajectory."""
-    units = ("N", "N m") if all(a.shape[1] == 3 for a in reactions.moment.values()) else ("N/m", "N")
+    units = force_units(max((a.shape[1] for a in reactions.force.values()), default=3))
     arrays = {TIME: (reactions.time, "s")}
     for name in reactions.force:
         for part, of, unit in zip(PARTS, (reactions.force, reactions.moment), units, strict=True):

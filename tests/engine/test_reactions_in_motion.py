@@ -139,18 +139,23 @@ def momenta(rollout):
     return np.array(linear), np.array(angular)
 
 
+def assert_momentum_is_balanced(model, inputs, rollout):
+    """Assert that reactions and loads change the momentum of all bodies."""
+    linear, _ = momenta(rollout)
+    records, step, load = rollout.read_records(), model.substeps * model.dt, inputs.fields.force.sum(axis=0)
+    for control in range(model.n_controls):
+        forces = sum(rows[control + 1, : model.dim] for rows in records.held.values())
+        change = (linear[control + 1] - linear[control]) / step
+        np.testing.assert_allclose(change, forces + load, rtol=0, atol=1e-11 * np.abs(forces).max())
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_momentum_of_all_bodies_changes_by_reactions_and_loads(dim):
     """To rounding. Cables and springs act between particles, and body forces are off."""
     model, inputs = recorded(dim, viscous=False)
     inputs.fields.damping[:], inputs.strength[:] = 0.0, 0.0
     rollout = make_rollout(*compiled(model, inputs, viscous=False))
-    linear, _ = momenta(rollout)
-    records, step, load = rollout.read_records(), model.substeps * model.dt, inputs.fields.force.sum(axis=0)
-    for control in range(model.n_controls):
-        forces = sum(rows[control + 1, :dim] for rows in records.held.values())
-        change = (linear[control + 1] - linear[control]) / step
-        np.testing.assert_allclose(change, forces + load, rtol=0, atol=1e-11 * np.abs(forces).max())
+    assert_momentum_is_balanced(model, inputs, rollout)
 
 
 def turned(x, p):
@@ -293,9 +298,4 @@ def test_a_clamp_that_moves_balances_the_momentum(dim):
     model, inputs, _ = carrying(dim)
     inputs.fields.damping[:], inputs.strength[:] = 0.0, 0.0
     rollout = make_rollout(*compiled(model, inputs, viscous=False))
-    linear, _ = momenta(rollout)
-    records, step, load = rollout.read_records(), model.substeps * model.dt, inputs.fields.force.sum(axis=0)
-    for control in range(model.n_controls):
-        forces = sum(rows[control + 1, :dim] for rows in records.held.values())
-        change = (linear[control + 1] - linear[control]) / step
-        np.testing.assert_allclose(change, forces + load, rtol=0, atol=1e-11 * np.abs(forces).max())
+    assert_momentum_is_balanced(model, inputs, rollout)

@@ -21,6 +21,7 @@ from cqrun.scene.paths import leaf
 from cqrun.store.atomic import disk_errors
 from cqrun.store.frames import Frames
 from cqrun.store.result import Interval, SysidResult, require_result
+from cqrun.units import force_units
 
 STILL = 1e-6
 """A motion smaller than this part of a cell does not oscillate."""
@@ -92,7 +93,7 @@ def _bound(spec: Unknown, value: float) -> float | None:
 def _at_rest(run: Path, built: Built) -> Iterator[tuple[str, Quantity]]:
     """Yield displacements of bodies and groups at the last point, and the reactions of the boundaries."""
     row = _last_row(run / "rest.csv")
-    force, moment = ("N", "N m") if built.scene.dim == 3 else ("N/m", "N")
+    force, moment = force_units(built.scene.dim)
     for body in built.particles.names:
         for axis, start in zip(AXES, _centre(built, body), strict=False):
             yield f"{body}.d{axis}", Quantity(row[f"{body}.{axis}"] - float(start), "m")
