@@ -13,7 +13,7 @@ from test_statics import cantilever
 
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.model import GroupModel
-from cqrun.engine.statics import equilibrium as statics
+from cqrun.engine.statics import precondition as statics
 from cqrun.engine.statics.coarse import WEIGHTS
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.krylov import conjugate_gradients, dot
@@ -51,8 +51,8 @@ def test_the_coarse_stiffness_is_that_of_the_fine_one(always, dim, rng):
     equilibrium = Equilibrium(model, inputs)
     rest = equilibrium.solve()
     equilibrium.linearise(rest.u)
-    assert equilibrium._make_coarse()
-    coarse = equilibrium.coarse
+    assert equilibrium.preconditioner.add_coarse()
+    coarse = equilibrium.preconditioner.coarse
     r = equilibrium.rollout
     pulled = statics.pulled_points(equilibrium.run, r.loads, r.drive, equilibrium.push, equilibrium.control)
     K = coarse._stiffness(equilibrium.A, r.ghosts, pulled)
@@ -75,8 +75,8 @@ def test_splines_of_twice_the_spacing_nest():
 def test_the_preconditioner_is_symmetric_and_positive(always, dim, rng):
     equilibrium = Equilibrium(*cantilever(dim))
     equilibrium.linearise(np.zeros_like(equilibrium.outside))
-    assert equilibrium.coarse.ready
-    p, q = (equilibrium._freed(rng.normal(size=equilibrium.outside.shape)) for _ in range(2))
+    assert equilibrium.preconditioner.coarse.ready
+    p, q = (equilibrium.holding.freed(rng.normal(size=equilibrium.outside.shape)) for _ in range(2))
     for a in (p, q):
         a[:, dim:] = 0.0
         a[np.setdiff1d(np.arange(len(a)), equilibrium.run.nodes.active)] = 0.0
@@ -95,7 +95,7 @@ def test_a_slender_rod_needs_few_products_and_rests_in_the_same_place(monkeypatc
         rest = equilibrium.solve(tolerance=1e-9)
         assert rest.converged
         equilibrium.linearise(rest.u)
-        b = equilibrium._freed(equilibrium.outside)
+        b = equilibrium.holding.freed(equilibrium.outside)
         solved = conjugate_gradients(equilibrium.product, b, equilibrium.precondition, 1e-8, 5000)
         found[refresh] = rest, solved
     (fast, fast_cg), (slow, slow_cg) = found.values()
@@ -108,8 +108,8 @@ def test_a_slender_rod_needs_few_products_and_rests_in_the_same_place(monkeypatc
 def test_the_smallest_eigenvalue_is_that_of_the_coarse_pencil(always):
     equilibrium = Equilibrium(*cantilever(2))
     equilibrium.linearise(np.zeros_like(equilibrium.outside))
-    coarse, active = equilibrium.coarse, equilibrium.run.nodes.active
-    blocks = np.linalg.inv(equilibrium.inverse)
+    coarse, active = equilibrium.preconditioner.coarse, equilibrium.run.nodes.active
+    blocks = np.linalg.inv(equilibrium.preconditioner.inverse)
     n = len(coarse.used)
     unit = np.eye(n)
 

@@ -111,7 +111,7 @@ def test_the_tangent_is_the_slope_of_the_forces_and_symmetric(rested, rng):
     def direction():
         p = np.zeros_like(rest.u)
         p[active, : equilibrium.dim] = rng.normal(size=(len(active), equilibrium.dim))
-        return equilibrium._freed(p) * 1e-2
+        return equilibrium.holding.freed(p) * 1e-2
 
     p, q, h = direction(), direction(), 1e-4
     equilibrium.linearise(rest.u)

@@ -29,13 +29,13 @@ from cqrun.engine.reference.moves import poses, poses_vjp
 from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.reference.step import begin_control
 from cqrun.engine.setting import Crew
-from cqrun.engine.statics.coarse import CoarseSpace, pulled_points
-from cqrun.engine.statics.holding import Holding, Planes, loose_bodies
+from cqrun.engine.statics.holding import Planes, loose_bodies
 from cqrun.engine.statics.krylov import Solution, conjugate_gradients
 from cqrun.engine.statics.newton import MOST_PRODUCTS, Rest, find_rest
 from cqrun.engine.statics.passes import find_bars, find_change, find_net, find_slopes
+from cqrun.engine.statics.precondition import REFRESH, Preconditioner
 from cqrun.engine.statics.reactions import Holder, holders, resultant, resultant_vjp
-from cqrun.engine.statics.tangent import add_blocks, rows_of
+from cqrun.engine.statics.tangent import rows_of
 from cqrun.engine.statics.volumes import MeanVolumes
 from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import aligned
@@ -44,15 +44,6 @@ from cqrun.state import State
 
 TINY_STRAIN = 1e-4
 """Strain whose forces are the measure of the residual of a body without loads."""
-
-MANY = 200_000
-"""With more nodes the coarse space would take too much memory."""
-
-REFRESH = 200
-"""Products after which the coarse space is made, or made anew: it is about as dear as they are."""
-
-LEAST_BLOCK = 1e-3
-"""Least eigenvalue of a node's block of the preconditioner, as a part of the block's largest."""
 
 
 @dataclass(frozen=True)
@@ -86,21 +77,20 @@ class Equilibrium:
         self.A = aligned((patches.layout.n // width, rows_of(self.dim), width), real)
         self.push = np.zeros_like(self.run.push)
         self.still = aligned((self.n_nodes, 4), real)
-        planes = Planes(model.conditions, model.size, self.run.nodes.bits, self._places())
-        self.held, self.free = planes.holding()
+        self.holding = Planes(model.conditions, model.size, self.run.nodes.bits, self._places()).holding()
         self.one = [np.ones(1) for _ in self.rollout.shares]
         self.carried = self._carried()
         self._each(lambda crew: begin_control(self.rollout.drive, self.run, self.colours, control, crew))
         self.outside = self.run.outside.copy()
-        self.inverse = np.zeros((0, self.dim, self.dim))
         self.volumes = MeanVolumes(self.rollout) if any(self.rollout.means) else None
-        self.coarse: CoarseSpace | None = None
-        self.since = REFRESH + 1 if slow else 0  # products since the coarse space was made; before, since the beginning
+        self.preconditioner = Preconditioner(
+            self.rollout, self.A, self.push, self.holding, self.volumes, control, slow=slow
+        )
 
     @property
     def size(self) -> int:
         """Its size in memory, roughly [bytes]."""
-        return 4 * self.A.nbytes + (self.coarse.size if self.coarse is not None else 0)
+        return 4 * self.A.nbytes + self.preconditioner.size
 
     # --- the system (`newton.System`) -----------------------------------------------------------------------------
 
@@ -112,30 +102,23 @@ class Equilibrium:
                 r.parts, r.loads, r.ghosts, r.drive, self.run, self.colours, u, self.still, self.control, crew
             )
         )
-        return self._freed(self.run.force + self.outside)
+        return self.holding.freed(self.run.force + self.outside)
 
     def linearise(self, u: Array) -> None:
         """Prepare the tangent and its preconditioner at a displacement."""
         self._each(lambda crew: find_slopes(self.rollout.parts, self.run, self.A, u, self.still, self.colours, crew))
         if self.volumes is not None:
             self.volumes.prepare()
-        self._invert_blocks()
-        if self.since > REFRESH:
-            self._make_coarse()
+        self.preconditioner.prepare()
 
     def product(self, p: Array) -> Array:
         """Return the stiffness matrix times a displacement (M, 4)."""
-        self.since += 1
-        return self._freed(-self._change(p))
+        self.preconditioner.since += 1
+        return self.holding.freed(-self._change(p))
 
     def precondition(self, r: Array) -> Array:
-        """Return the forces (M, 4) times the inverse of each node's block, and of the coarse space."""
-        z, active = np.zeros_like(r), self.run.nodes.active
-        z[active, : self.dim] = np.einsum("nij,nj->ni", self.inverse, r[active, : self.dim])
-        z = self._freed(z)
-        if self.coarse is not None and self.coarse.ready:
-            z += self.coarse.solve(r)
-        return z
+        """Return the forces (M, 4) times something like the inverse of the stiffness matrix."""
+        return self.preconditioner.solve(r)
 
     # --- what a user asks ---------------------------------------------------------------------------------------------
 
@@ -149,14 +132,14 @@ class Equilibrium:
         start = aligned((self.n_nodes, 4), self.run.force.dtype)
         if u is not None:
             start[...] = u
-        change = self.carried - (start - self._freed(start))
+        change = self.carried - (start - self.holding.freed(start))
         if change.any():
             start += change + self._follow(start, change)
         load = self.load()
         if change.any():
             load = max(load, float(np.linalg.norm(self.net(start))))
         rest = find_rest(self, start, load, tolerance)
-        return self._judged(rest) if rest.converged and (judge or self.coarse is not None) else rest
+        return self._judged(rest) if rest.converged and (judge or self.preconditioner.coarse is not None) else rest
 
     def smallest_eigenvalue(self, u: Array) -> float:
         """Return the smallest eigenvalue of the stiffness at a displacement, relative to its blocks; NaN if unknown.
@@ -164,14 +147,11 @@ class Equilibrium:
         It is that of the coarse space, and so an upper bound; it is negative where the equilibrium is not stable.
         """
         self.linearise(u)
-        self._make_coarse()
-        if self.coarse is None or not self.coarse.moves:
-            return float("nan")
-        return self.coarse.smallest(np.linalg.inv(self.inverse), self.run.nodes.active)
+        return self.preconditioner.smallest()
 
     def first_step(self, u: Array) -> Array:
         """Return the change to the equilibrium from a displacement (M, 4) near it, to first order."""
-        change = self.carried - (u - self._freed(u))
+        change = self.carried - (u - self.holding.freed(u))
         net = self.net(u)
         self.linearise(u)
         pull = net - self.product(change)
@@ -183,12 +163,12 @@ class Equilibrium:
         A body without any load has its residual measured by the forces of a strain of TINY_STRAIN. (Boundaries that
         carry their nodes load a body, too: `solve` adds what the first guess lacks.)
         """
-        inner = self.net(np.zeros_like(self.outside)) - self._freed(self.outside)
-        load = float(np.sqrt((self._freed(self.outside) ** 2).sum() + (inner**2).sum()))
+        inner = self.net(np.zeros_like(self.outside)) - self.holding.freed(self.outside)
+        load = float(np.sqrt((self.holding.freed(self.outside) ** 2).sum() + (inner**2).sum()))
         if load > 0.0:
             return load
         self.linearise(np.zeros_like(self.outside))
-        stiffness = 1.0 / np.linalg.norm(self.inverse, axis=(1, 2))
+        stiffness = 1.0 / np.linalg.norm(self.preconditioner.inverse, axis=(1, 2))
         return float(TINY_STRAIN * self.rollout.model.dx * np.linalg.norm(stiffness))
 
     def state(self, u: Array) -> State:
@@ -206,7 +186,7 @@ class Equilibrium:
         """Return the forces (M, D) [N] with which boundaries hold the nodes."""
         self.net(u)
         force = self.run.force + self.outside
-        return np.asarray((self._freed(force) - force)[:, : self.dim])
+        return np.asarray((self.holding.freed(force) - force)[:, : self.dim])
 
     def held_by(self, u: Array) -> dict[str, tuple[Array, Array]]:
         """Return the force (D,) [N] and the moment (1,) or (3,) [N m] of every boundary, by its name.
@@ -253,7 +233,7 @@ class Equilibrium:
         self.linearise(u)
         if f_bar is not None:
             loss_bar += self._change(f_bar)
-        loss_bar = self._freed(loss_bar)
+        loss_bar = self.holding.freed(loss_bar)
         found = self._solve(loss_bar, tolerance)
         adjoint = found.x if f_bar is None else found.x + f_bar
         r = self.rollout
@@ -283,12 +263,12 @@ class Equilibrium:
                 r_bar, a_bar = resultant_vjp(holder, u, force, *held_bar[name])
                 f_bar[holder.nodes, : self.dim] -= r_bar
                 u_bar[holder.nodes, : self.dim] += a_bar
-        return np.asarray(f_bar - self._freed(f_bar))
+        return np.asarray(f_bar - self.holding.freed(f_bar))
 
     def loose_bodies(self) -> dict[str, int]:
         """Return the bodies that nothing holds, by name: in how many ways each can move as a rigid body."""
         names, patches = self.rollout.model.body_names, self.rollout.rest.patches
-        return loose_bodies(names, patches.body_of_nodes(), self._places(), Holding(self.held, self.free))
+        return loose_bodies(names, patches.body_of_nodes(), self._places(), self.holding)
 
     # --- inside -------------------------------------------------------------------------------------------------------
 
@@ -299,28 +279,15 @@ class Equilibrium:
 
     def _solve(self, b: Array, tolerance: float) -> Solution:
         """Return the solution of the linear system at the state of `linearise`; a long search gets a coarse space."""
-        fresh = self.coarse is not None and self.since == 0
-        first = conjugate_gradients(self.product, b, self.precondition, tolerance, MOST_PRODUCTS if fresh else REFRESH)
+        most = MOST_PRODUCTS if self.preconditioner.fresh else REFRESH
+        first = conjugate_gradients(self.product, b, self.precondition, tolerance, most)
         if first.converged or first.negative:
             return first
-        self._make_coarse()
+        self.preconditioner.add_coarse()
         left = b - self.product(first.x)
         relative = tolerance * float(np.linalg.norm(b) / np.linalg.norm(left))
         second = conjugate_gradients(self.product, left, self.precondition, relative, 10 * MOST_PRODUCTS)
         return second._replace(x=first.x + second.x, iterations=first.iterations + second.iterations)
-
-    def _make_coarse(self) -> bool:
-        """Make the coarse space at the state of `linearise`; return whether the stiffness there is positive."""
-        if len(self.run.nodes.active) > MANY:
-            return True
-        if self.coarse is None:
-            free = np.ones(self.n_nodes, bool)
-            free[self.held] = False
-            self.coarse = CoarseSpace(self.run, self.rollout.rest.patches, free)
-        self.since = 0
-        r = self.rollout
-        pulled = pulled_points(self.run, r.loads, r.drive, self.push, self.control)
-        return self.coarse.prepare(self.A, r.ghosts, pulled, self.volumes)
 
     def _judged(self, rest: Rest) -> Rest:
         """Return a rest with the smallest eigenvalue there, and whether one is negative.
@@ -334,7 +301,7 @@ class Equilibrium:
             return replace(rest, negative=smallest <= 0.0, smallest=smallest)
         some = np.random.default_rng(0).normal(size=rest.u.shape) * (self.run.nodes.mass > 0)[:, None]
         some[:, self.dim :] = 0.0
-        found = conjugate_gradients(self.product, self._freed(some), self.precondition, 1e-6, MOST_PRODUCTS)
+        found = conjugate_gradients(self.product, self.holding.freed(some), self.precondition, 1e-6, MOST_PRODUCTS)
         return replace(rest, negative=found.negative, smallest=float("nan") if found.negative else smallest)
 
     def _carried(self) -> Array:
@@ -370,24 +337,3 @@ class Equilibrium:
     def _places(self) -> Array:
         """Return where the nodes are at rest (M, D) [m]."""
         return self.rollout.rest.patches.positions(self.rollout.model.dx)
-
-    def _freed(self, a: Array) -> Array:
-        """Return a vector of the nodes (M, 4) without what boundaries hold."""
-        out = a.copy()
-        out[self.held, : self.dim] = np.einsum("hij,hj->hi", self.free, a[self.held, : self.dim])
-        return out
-
-    def _invert_blocks(self) -> None:
-        """Invert the diagonal block of every node, with negative and small eigenvalues raised."""
-        dim, active = self.dim, self.run.nodes.active
-        blocks = np.zeros((self.n_nodes, dim, dim))
-        add_blocks(self.run, self.A, blocks, 0, self.rollout.rest.patches.layout.n)
-        if self.volumes is not None:
-            self.volumes.add_blocks(blocks)
-        for ghost in self.rollout.ghosts:
-            scale = np.add.reduceat(ghost.factor**2 * ghost.scale[ghost.runs], ghost.begin[:-1])
-            blocks[ghost.nodes[:, None], np.arange(dim), np.arange(dim)] += scale[:, None]
-        lower = np.tril(blocks[active], -1)
-        values, vectors = np.linalg.eigh(blocks[active] + lower.transpose(0, 2, 1))
-        values = np.maximum(np.abs(values), LEAST_BLOCK * np.abs(values).max(axis=1, keepdims=True))
-        self.inverse = np.einsum("nij,nj,nkj->nik", vectors, 1.0 / values, vectors)

@@ -36,6 +36,12 @@ class Holding(NamedTuple):
     nodes: Array
     free: Array
 
+    def freed(self, a: Array) -> Array:
+        """Return a vector of the nodes (M, 4) without what boundaries hold."""
+        out, dim = a.copy(), self.free.shape[1]
+        out[self.nodes, :dim] = np.einsum("hij,hj->hi", self.free, a[self.nodes, :dim])
+        return out
+
 
 class Shares(NamedTuple):
     """How boundaries divide the reactions of a node.
