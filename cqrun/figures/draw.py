@@ -15,6 +15,7 @@ from cqrun.figures.design import designed_quantities, draw_design, draw_shape, h
 from cqrun.figures.losses import LOSS
 from cqrun.figures.overview import draw_overview
 from cqrun.figures.path import draw_path, has_path
+from cqrun.figures.reactions import draw_reactions, has_reactions
 from cqrun.figures.rest import draw_rest
 from cqrun.figures.run_data import HISTORY, TRAJECTORY, RunData, read_run
 from cqrun.figures.style import save, styled
@@ -39,6 +40,7 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
     convergence   loss and unknowns against the iteration
     tracks_NAME   a recording beside the model
     path          displacements and reactions along a path of equilibria
+    reactions     force and moment of boundaries over time
     bodies        first, middle and last frame of the trajectory
     design        designed quantities of the material, on the body
     shape         the body before and after the design
@@ -120,6 +122,11 @@ def _path(run: RunData) -> Iterator[tuple[str, Figure]]:
         yield "path", draw_path(run)
 
 
+def _reactions(run: RunData) -> Iterator[tuple[str, Figure]]:
+    if has_reactions(run):
+        yield "reactions", draw_reactions(run)
+
+
 def _overview(run: RunData) -> Iterator[tuple[str, Figure]]:
     if run.succeeded and (run.history or run.scene.predicts_only):
         yield "overview", draw_overview(run)
@@ -133,6 +140,7 @@ PICTURES: dict[str, Callable[[RunData], Iterator[tuple[str, Figure]]]] = {
     "shape": _shape,
     "overview": _overview,
     "path": _path,
+    "reactions": _reactions,
 }
 """Pictures by the names that jobs give them; each yields a name and a picture if a run has what it shows."""
 

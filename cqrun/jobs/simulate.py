@@ -179,7 +179,7 @@ class Simulate(Job[Simulation, SimulateResult]):
 
 
 KEPT = {FILE: "the controller", IDENTIFIED: "the result"}
-SIMULATE = Simulate("simulate", SimulateResult, pictures=("bodies",), keeps=KEPT)
+SIMULATE = Simulate("simulate", SimulateResult, pictures=("bodies", "reactions"), keeps=KEPT)
 
 
 def run_simulate(

@@ -230,9 +230,10 @@ def test_checkpoints_carry_the_springs():
         np.testing.assert_allclose(got, want, rtol=0, atol=1e-12 * np.abs(want).max())
 
 
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=needs_jit)])
 @pytest.mark.parametrize("kind", ["v", "mass", "fixed_corotated.E", "friction", "force"])
-def test_taylor_remainder_is_of_second_order(kind, rng):
-    model, inputs = touched(2, viscous=False, substeps=8, seed=4)
+def test_taylor_remainder_is_of_second_order(kind, dim, rng):
+    model, inputs = touched(dim, viscous=False, substeps=8, seed=4)
 
     def loss_bar(records, _):
         return LossBar(rebuilt(records, [np.cos(a) + a for a in parts(records)]))

@@ -15,7 +15,12 @@ from made_runs import YOUNG, history, made_twin, plane_scene, swing, write_histo
 from cqrun.cli import app as cli
 from cqrun.errors import UsageError
 from cqrun.figures.draw import draw_run, draw_several
+from cqrun.figures.reactions import draw_reactions
+from cqrun.figures.run_data import read_run
+from cqrun.figures.style import styled
 from cqrun.jobs.table import job_of
+from cqrun.running.reaction_table import write_reaction_table
+from cqrun.store.reactions import Reactions
 
 ALL = ["convergence", "tracks_synthetic", "bodies", "overview"]
 MAGIC = {"png": b"\x89PNG\r\n", "pdf": b"%PDF-"}
@@ -121,6 +126,29 @@ def test_a_simulation_shows_its_bodies(tmp_path, rng):
     time, _, x = swing(rng, 5, 2)
     write_trajectory(run, x, time)
     assert [p.name for p in draw_run(run)] == ["bodies.png"]
+
+
+@pytest.mark.parametrize(("push", "drawn"), [(3.0, ["bodies.png", "reactions.png"]), (0.0, ["bodies.png"])])
+def test_a_simulation_shows_the_reactions_of_boundaries_that_act(tmp_path, rng, push, drawn):
+    scene = plane_scene({})
+    scene["boundaries"] = {"clamp": {"sticky": {"face": "x_min"}}, "floor": {"sticky": {"face": "y_min"}}}
+    run = write_run(tmp_path, scene, job="simulate", status="done")
+    time, _, x = swing(rng, 5, 2)
+    write_trajectory(run, x, time)
+    force = np.zeros((4, 2))
+    force[2, 1] = push
+    nothing = np.zeros((4, 2))
+    moments = {"clamp": np.zeros((4, 1)), "floor": np.zeros((4, 1))}
+    write_reaction_table(
+        run / "reactions.csv", Reactions(0.01 * np.arange(1, 5), {"clamp": force, "floor": nothing}, moments)
+    )
+    assert [p.name for p in draw_run(run)] == drawn
+    if push:
+        with styled():
+            axes = draw_reactions(read_run(run)).axes
+        assert [text.get_text() for text in axes[0].get_legend().get_texts()] == ["clamp, x", "clamp, y"]
+        assert axes[0].lines[1].get_ydata().max() == push
+        assert axes[0].get_ylabel() == "force on the bodies [N/m]"
 
 
 @pytest.mark.parametrize(
