@@ -24,7 +24,8 @@ from cqrun.plugin.contract import Array
 
 LOOSER = 100.0
 """Relative residual of an adjoint's linear system, divided by that of an equilibrium. The relative error of a gradient
-is about a fiftieth of that residual (docs/decisions/012-rest.md)."""
+is about a fiftieth of that residual (docs/decisions/012-rest.md). Reactions need the residual of the equilibrium
+itself: their cotangent is large beside what comes of it."""
 
 KEPT = 2**28
 """Bytes of equilibria that wait for their gradient; it is cheaper with their preconditioner."""
@@ -255,9 +256,8 @@ class RestPath:
         for k, (point, inputs) in enumerate(zip(self.points, self.inputs, strict=True), start=1):
             of_point = {name: (rows[k, :dim], rows[k, dim:]) for name, rows in held.items() if rows[k].any()}
             here = self.kept.pop(k - 1, None) or self.equilibrium(inputs)
-            bar, _ = here.gradient(
-                point.rest.u, record_bar=bars[k], held_bar=of_point, tolerance=LOOSER * self.tolerance
-            )
+            tolerance = self.tolerance if of_point else LOOSER * self.tolerance
+            bar, _ = here.gradient(point.rest.u, record_bar=bars[k], held_bar=of_point, tolerance=tolerance)
             out.append(bar)
         return out
 
