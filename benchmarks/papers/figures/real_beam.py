@@ -56,8 +56,7 @@ class RealBeam(Figure):
     }
     notes = (
         "The fits take hours and need the recordings, so this shows what `python benchmarks/real_beam.py` has found. "
-        "The fits on 3.75 mm are of an older engine. That engine treated a persistent error as several independent "
-        "ones, so its intervals are too narrow"
+        "Each recording has its own tilt; the fit of one beam alone predicts the other one with the tilt of the scene"
     )
 
     def tasks(self, size: Size) -> Sequence[Task]:
