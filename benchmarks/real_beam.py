@@ -3,8 +3,8 @@
     python benchmarks/real_beam.py --recordings DIR [--only swing rest ...] [--runs DIR] [--out FILE]
 
 DIR holds beam_gravity_V2_a.c3d and beam_load101_V2_a.c3d (srl-ethz/diffPD_sim2real, MIT licence). Each fit is a run of
-`cqrun sysid` below `--runs`. A stopped fit continues, and a finished one is read. On two cores, a fit at 5 mm takes a
-quarter of an hour (swing) or a minute (rest). A fit at 3.75 mm takes two hours (swing) or five minutes (rest).
+`cqrun sysid` below `--runs`. A stopped fit continues, and a finished one is read. On two cores, a fit at 5 mm takes
+40 minutes (swing) or a minute or two (rest). A fit at 3.75 mm takes two hours (swing) or three minutes (rest).
 """
 
 from __future__ import annotations
