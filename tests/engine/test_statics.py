@@ -25,7 +25,7 @@ from cqrun.state import State
 DX = 0.1
 
 
-def cantilever(dim, *, gravity=-4.0, real=np.float64, uneven=0.0):
+def cantilever(dim, *, gravity=-4.0, real=np.float64, uneven=0.0, walls=()):
     """Return a clamped beam of two laws with a muscle, a taut cable and one with a tension, and its inputs.
 
     A lattice has many nodes of equal fill, and the ghost penalty takes the least of four, which is a kink. Particles
@@ -47,7 +47,7 @@ def cantilever(dim, *, gravity=-4.0, real=np.float64, uneven=0.0):
         x, size=[1.4] * dim, dx=DX, dt=1e-3, substeps=1, controls=1, mass=1000 * volume, volume=volume,
         E=rng.uniform(3e4, 5e4, n), nu=rng.uniform(0.2, 0.4, n), neo_hookean=rng.uniform(3e4, 5e4, n),
         incompressible=rng.uniform(1e3, 2e3, n), gravity=up, probe=rng.random((2, n)) / n,
-        walls=[Wall(Sticky, (0.0,) * dim, below(0, 0.3))],
+        walls=[Wall(Sticky, (0.0,) * dim, below(0, 0.3)), *walls],
         muscles=((np.flatnonzero(x[:, 1] > 0.3), np.diag(np.eye(dim)[0])),),
         actuators=(Acting(cable.CableKernel, route, np.zeros(0), length),
                    Acting(tension.TensionKernel, below_top, np.zeros(0))),
