@@ -104,12 +104,13 @@ def of_the_substep(
 ) -> Iterator[str]:
     """Yield sentences on values that half the substep would move out of their intervals.
 
-    MLS-MPM smooths velocities in every substep, which softens and damps a body; so the fitted values depend on the
-    number of substeps. `substeps: auto` takes more if bounds allow a stiffer material. Synthetic data need no check,
-    and bodies at rest have no substeps.
+    In the updated frame MLS-MPM smooths velocities in every substep, which softens and damps a body; so the fitted
+    values depend on the number of substeps. `substeps: auto` takes more if bounds allow a stiffer material. The
+    reference frame smooths nothing, synthetic data have no other substep, and bodies at rest have none at all.
     """
-    at_rest = all(case.points for case in problem.cases)
-    if problem.cases[0].built.scene.synthetic is not None or len(jacobian) == 0 or at_rest:
+    scene, at_rest = problem.cases[0].built.scene, all(case.points for case in problem.cases)
+    smooths = scene.world.frame == "updated"
+    if not smooths or scene.synthetic is not None or len(jacobian) == 0 or at_rest:
         return
     try:
         residuals = problem.with_half_substep().residuals(x)
