@@ -12,7 +12,7 @@ import pytest
 MEASURED = Path(__file__).parents[2] / "benchmarks" / "measured"
 MODULUS = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus"
 VISCOSITY = "bodies.beam.material.viscosity.shear"
-FITS = ("swing", "rest", "rest_bare", "rest_fine")
+FITS = ("swing", "swing_bare", "swing_fine", "rest", "rest_bare", "rest_fine")
 
 
 def kept(name: str) -> dict[str, Any]:
@@ -45,6 +45,7 @@ def test_the_real_beam(name):
 def test_the_loaded_beam_at_rest_is_predicted():
     """From the bare recording alone, within 2.5 mm."""
     told = kept("real_beam")
+    assert told["rest_predicted_from_swing_bare_mm"]["loaded"] <= 2.5
     assert told["rest_bare"]["recordings"]["loaded"]["holdout"]
     assert told["rest_bare"]["recordings"]["loaded"]["rmse_mm"] <= 2.5
 
@@ -60,10 +61,22 @@ def test_the_real_beam_does_not_depend_on_the_grid():
 
 
 def test_the_tentacle():
-    """Eight poses: nearer than the rod model of the source, with E between its fitted value and its start."""
+    """Eight poses, two grids: nearer than the rod model; E is between the fitted and the first value of the source."""
     told = kept("tentacle")
-    entry = told["coarse"]
     modulus = "bodies.arm.material.elastic.fixed_corotated.youngs_modulus"
-    assert entry["status"] == "converged"
-    assert 315e3 <= entry["unknowns"][modulus]["value"] <= 505e3
-    assert entry["recordings"]["poses"]["mean_mm"] < told["rod_model_mm"]
+    for name in ("coarse", "fine"):
+        assert told[name]["status"] == "converged"
+        assert 315e3 <= told[name]["unknowns"][modulus]["value"] <= 505e3
+        assert told[name]["recordings"]["poses"]["mean_mm"] < told["rod_model_mm"]
+    coarse, fine = (told[name]["unknowns"][modulus]["value"] for name in ("coarse", "fine"))
+    assert fine == pytest.approx(coarse, rel=0.02)
+
+
+def test_robots_of_the_papers_learn_in_both_frames():
+    """The finger comes as near as in the paper, the arm keeps its constraints, the biped walks."""
+    told = kept("both_frames")
+    for frame in ("updated", "reference"):
+        assert told["finger"][frame]["loss"] <= 0.01
+        for constraint in told["arm_two_link"][frame]["constraints"].values():
+            assert constraint["violation"] <= 1e-5
+        assert told["biped"][frame]["terms"]["far"] >= 0.2
