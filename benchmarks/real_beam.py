@@ -47,7 +47,7 @@ NEAR = [
     f"{TILTS['loaded']}=-0.5574",
     "time.substeps=900",
 ]
-"""Near the answer at 3.75 mm, where a run from the answer at 5 mm came to a stop: an iteration takes half an hour."""
+"""Near the answer at 3.75 mm, found by a fit from the answer at 5 mm: an iteration takes half an hour on one thread."""
 
 FITS: dict[str, tuple[Path, list[str]]] = {
     "rest": (REST, []),

@@ -91,7 +91,7 @@ class SharedIndex(caching.IndexDataCacheFile):
     def _load_index(self) -> Any:
         try:
             return super()._load_index()
-        except Exception:
+        except Exception:  # a damaged index may raise anything; without one, kernels are compiled again
             return {}
 
     def _note(self, problem: str, lost: bool = False) -> None:

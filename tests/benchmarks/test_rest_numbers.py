@@ -28,6 +28,7 @@ def sag(dx: float, gravity: float) -> float:
     path.run()
     (point,) = path.points
     assert point.rest.converged
+    assert point.halvings == 0
     assert not point.rest.negative
     x = built.particles.x
     end = x[:, 0] > x[:, 0].max() - 1e-9

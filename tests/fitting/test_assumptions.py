@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from small_beam import E_PATH, SHEAR_PATH, changed, result_of
 
+from cqrun.fitting.assumptions import of_the_substep
 from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.table import report_lines
 
@@ -100,3 +103,20 @@ def test_an_objective_that_is_least_at_a_bound(fit, tmp_path):
     goal = "objective={up: {reach: {body: beam, position: [0.07, 0.09]}}}"
     _, told = findings(fit, tmp_path, "data=null", goal, "optimizer=null", "time.duration=0.05")
     assert f"{E_PATH} ended at its upper bound, 100000: the least objective lies there or beyond." in told[0]
+
+
+def test_half_the_substep_is_run_in_the_updated_frame_alone():
+    """The reference frame smooths nothing, and the check costs a rollout of twice the substeps."""
+
+    def told(frame: str) -> list[str]:
+        def halved() -> None:
+            raise AssertionError("ran")
+
+        scene = SimpleNamespace(world=SimpleNamespace(frame=frame), synthetic=None)
+        case = SimpleNamespace(built=SimpleNamespace(scene=scene), points=())
+        problem = SimpleNamespace(cases=[case], with_half_substep=halved)
+        return list(of_the_substep(problem, np.zeros(1), np.ones((1, 1)), [], None))
+
+    assert told("reference") == []
+    with pytest.raises(AssertionError, match="ran"):
+        told("updated")
