@@ -35,7 +35,7 @@ class Sticky(BoundaryCondition):
         default=None, min_length=1, max_length=3, exclude_if=lambda value: value is None,
     )  # fmt: skip
     center: list[float] | None = vector(
-        "m", "Centre of the rotation at rest; the mean of the held nodes if absent", default=None,
+        "m", "Centre of the rotation and of the moment, at rest; that of the held material if absent", default=None,
         exclude_if=lambda value: value is None,
     )  # fmt: skip
     over: float | None = quantity(
@@ -55,10 +55,8 @@ class Sticky(BoundaryCondition):
             problems.append(
                 (("rotation",), f"must have {turns} entries in this {dim}D world, has {len(self.rotation)}")
             )
-        for name, needs in (("center", self.rotation is not None), ("over", self.moves)):
-            if getattr(self, name) is not None and not needs:
-                what = "rotation" if name == "center" else "displacement or rotation"
-                problems.append(((name,), f"has no effect without `{what}`: give one, or remove it"))
+        if self.over is not None and not self.moves:
+            problems.append((("over",), "has no effect without `displacement or rotation`: give one, or remove it"))
         return problems
 
     def carried_to(self, dim: int) -> list[float]:

@@ -32,7 +32,7 @@ from cqrun.build.limits import (
 )
 from cqrun.build.particles import Particles, sample, stress_key
 from cqrun.build.raster import Raster, rasterised
-from cqrun.build.reactions import needed_boundaries
+from cqrun.build.reactions import centers, needed_boundaries
 from cqrun.build.volumes import averages, locking_bodies
 from cqrun.engine.model import GroupModel, Model
 from cqrun.engine.reference.patches import count_nodes
@@ -134,6 +134,7 @@ def build(scene: Scene) -> Built:
         offset=offset,
         n_nodes=0 if offset is None else count_nodes(particles.layout, particles.x, scene.world.dx, offset),
         reactions=needed_boundaries(scene),
+        centers=centers(scene, particles, conditions) if scene.world.frame == "reference" else {},
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings), rasters)
 

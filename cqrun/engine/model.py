@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -101,6 +101,7 @@ class Model:
     obstacles: tuple[ObstacleModel, ...] = ()  # in the reference frame
     meeting: MeetingModel | None = None  # of bodies with each other, in the reference frame
     reactions: tuple[str, ...] = ()  # boundaries whose forces and moments are recorded, in the reference frame
+    centers: Mapping[str, Array] = field(default_factory=dict)  # by boundary: about which moments and rotations are [m]
     spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # free memory for states
     at_rest: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)  # what a frame knows of the rest
 
@@ -145,6 +146,12 @@ class Model:
         """Return each group's slice of the user arrays."""
         bodies = self.layout.slices()
         return [slice(bodies[g.bodies[0]].start, bodies[g.bodies[-1]].stop) for g in self.groups]
+
+    def center(self, boundary: str, X: Array) -> Array:
+        """Return the point of a boundary's moment and rotation (D,) [m]; if none is given, the mean of its nodes X."""
+        of_spec = (getattr(plane.spec, "center", None) for plane in self.conditions if plane.name == boundary)
+        given = self.centers.get(boundary, next(of_spec, None))
+        return X.mean(axis=0) if given is None else np.array(given, float)
 
     def condition_bits(self) -> Array:
         """Return for each node the bits of the conditions that apply to it (nodes,)."""

@@ -100,6 +100,8 @@ def _world(built: Built) -> Iterator[str]:
     yield line("world", f"{size} m in cells of {number(world.dx)} m: {nodes} = {prod(shape):,} nodes")
     held = ", ".join(f"{c.name} ({c.spec.name}, {_held(built, c)})" for c in built.model.conditions)
     yield line("boundaries", held or "none: a body that reaches the edge of the world stops the run")
+    for name, center in built.model.centers.items():
+        yield line("", f"moments of '{name}' are about ({', '.join(map(number, center))}) m")
 
 
 def _held(built: Built, condition: ConditionModel) -> str:

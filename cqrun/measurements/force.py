@@ -141,9 +141,10 @@ class Force(Reaction):
 
     The file is CSV with the measured force. At rest, each line is an equilibrium, with a column for each load. In
     motion, `time` names the column with the times; the model's force is the mean over each control step, at the middle
-    of the step, and linear between. The force of a boundary is the sum over the nodes that it holds, or over the points
-    that touch it. Of a node that several boundaries hold, a `slip` takes the force along its normal, and a `sticky` the
-    rest; of two `sticky` ones the first takes all. The scene needs `world.frame: reference`.
+    of the step, linear between the middles, and continued before the first and after the last. The force of a boundary
+    is the sum over the nodes that it holds, or over the points that touch it. Of a node that several boundaries hold, a
+    `slip` takes the force along its normal, and a `sticky` the rest; of two `sticky` ones the first takes all. The
+    scene needs `world.frame: reference`.
     """
 
     quantity: ClassVar[str] = "force"
@@ -166,8 +167,9 @@ class Force(Reaction):
 class Moment(Reaction):
     """A component of the moment with which a boundary acts on the bodies.
 
-    It is about the centre of what a `sticky` or `slip` boundary holds at rest, and about the origin of the world for a
-    boundary that bodies touch. The file is as for `force`. In 2D the only component is z.
+    It is about the centre of the material inside a `sticky` or `slip` boundary at rest, or the clamp's `center`. For a
+    boundary that bodies touch it is about the origin of the world. The file is as for `force`. In 2D the only component
+    is z.
     """
 
     quantity: ClassVar[str] = "moment"

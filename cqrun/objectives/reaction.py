@@ -41,8 +41,8 @@ class OfBoundary(ObjectiveTerm):
 
     boundary: BoundaryName = Field(description="Boundary whose force or moment it is")
     of: Literal["force", "moment"] = Field(
-        description="A moment is about the centre of what a `sticky` or `slip` boundary holds at rest, and about the "
-        "origin of the world for a boundary that bodies touch",
+        description="A moment is about the centre of the material inside a `sticky` or `slip` boundary at rest, or the "
+        "clamp's `center`, and about the origin of the world for a boundary that bodies touch",
         default="force",
     )
     on: Literal["body", "boundary"] = Field(

@@ -59,7 +59,7 @@ def test_what_the_other_frame_cannot_do_is_refused(name):
 
 UNCLEAR = {
     "rotation": ({"rotation": [0.1, 0, 0]}, "must have 1 entries in this 2D world, has 3"),
-    "center": ({"displacement": [0.1, 0], "center": [0, 0]}, "has no effect without `rotation`"),
+    "center": ({"displacement": [0.1, 0], "center": [0, 0, 0]}, "must have 2 entries in this 2D world, has 3"),
     "over": ({"over": 1.0}, "has no effect without `displacement or rotation`"),
 }
 

@@ -95,8 +95,7 @@ def moving_nodes(model: Model, bits: Array, X: Array) -> tuple[Array, Array, Arr
     for row, (k, _) in enumerate(parts_of(model)):
         own = np.flatnonzero(free & ((bits >> k) & 1 == 1))
         free[own] = False  # a node in several boundaries that move follows the first
-        center = model.conditions[k].spec.center
-        c = np.array(center) if center is not None else X[own].sum(axis=0) / max(len(own), 1)
+        c = model.center(model.conditions[k].name, X[own]) if len(own) else np.zeros(model.dim)
         nodes.append(own)
         planes.append(np.full(len(own), row))
         arms.append(X[own] - c)

@@ -191,8 +191,8 @@ class Equilibrium:
     def held_by(self, u: Array) -> dict[str, tuple[Array, Array]]:
         """Return the force (D,) [N] and the moment (1,) or (3,) [N m] of every boundary, by its name.
 
-        Boundaries divide the reaction of a node that several hold (holding.py). A moment is about the centre of the
-        boundary's nodes at rest, and acts where the nodes are now.
+        Boundaries divide the reaction of a node that several hold (holding.py). A moment is about `Model.center`, with
+        the arms of the nodes where they are now.
         """
         force = self.reactions(u)
         return {name: resultant(holder, u, force) for name, holder in self.holders().items()}

@@ -40,6 +40,9 @@ displacement grows with the root of the load, the factor is 2."""
 BISECTIONS = 6
 """How often the part of the way with the larger change is halved then."""
 
+STILL = 1e-6
+"""A body whose particles move less than this from one point to the next stays where it is [cells]."""
+
 JUMP = 0.1
 """Part of the whole change that the last of these intervals has at least if displacement jumps there."""
 
@@ -200,7 +203,7 @@ class RestPath:
         """
         end = point.rest.u
         moved = _size(here, end - u)
-        if not moved > 0.0:
+        if not float(_motion(here, end - u).max()) > STILL * self.model.dx:
             return point
         ends = self.equilibrium(before), here
         if not point.rest.troubled and not point.halvings and not _unexpected(*ends, u, end):

@@ -2,7 +2,7 @@
 
 A node on which the net force f acts is held with r = -(1 - P) f, where P projects on the directions that its boundaries
 leave free. Boundary k takes the part W_nk r_n of it; the parts of all boundaries at a node add up to 1 (holding.py).
-With the arms a_n = X_n + u_n - C of a boundary's nodes, where C is the centre of the X_n,
+With the arms a_n = X_n + u_n - C of a boundary's nodes, where C is its centre (`Model.center`),
 
     R_k = sum_n W_nk r_n,    M_k = sum_n a_n x W_nk r_n.
 """
@@ -23,7 +23,7 @@ class Holder(NamedTuple):
 
     Attributes:
         nodes: numbers (n,).
-        arms: their places at rest from the centre of all nodes that the boundary holds (n, D) [m].
+        arms: their places at rest from the boundary's centre (n, D) [m].
         parts: the part of each node's reaction that the boundary takes (n, D, D).
     """
 
@@ -47,7 +47,7 @@ def holders(model: Model, bits: Array, X: Array) -> dict[str, Holder]:
         if len(inside):
             parts = np.array([shares[n].parts[name] for n in inside.tolist()])
             takes = parts.any(axis=(1, 2))
-            found[name] = Holder(inside[takes], (X[inside] - X[inside].mean(axis=0))[takes], parts[takes])
+            found[name] = Holder(inside[takes], (X[inside] - model.center(name, X[inside]))[takes], parts[takes])
     return found
 
 
