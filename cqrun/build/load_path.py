@@ -45,6 +45,20 @@ def inputs_of(built: Built, point: Mapping[str, float], values: Mapping[str, Arr
     return replace(inputs, activation=activation)
 
 
+def idle_actuators(built: Built) -> dict[str, str]:
+    """Return what is wrong with each actuator that nothing activates at rest, by the key path of its strength."""
+    actuation, found = built.assembly.actuation, {}
+    last = actuation.activations(built.assembly.sequence, {})[-1]
+    for part, activation, neutral in zip(actuation.parts, last, actuation.neutral, strict=True):
+        if activation == neutral:
+            path = f"{part.path}.{part.spec.scale}"
+            found[path] = (
+                f"'{path}' does nothing, because the activation of '{part.name}' is {activation:g} at rest: give "
+                f"`activation: {{signals: {{{part.actuator}: [1]}}}}`"
+            )
+    return found
+
+
 def gradient_of(built: Built, point: Mapping[str, float], values: Mapping[str, Array], bar: Inputs) -> dict[str, Array]:
     """Return the gradient by every path of `values` from the cotangent of `inputs_of`; zero where the point sets it."""
     activation_bar = np.zeros((built.model.n_controls, len(built.assembly.actuation.parts)))

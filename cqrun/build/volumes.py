@@ -10,8 +10,12 @@ import numpy as np
 from cqrun.errors import Problem
 from cqrun.materials.term import has_volume
 from cqrun.scene.body import Body
+from cqrun.scene.load_path import values_of
+from cqrun.scene.paths import canonical
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import bounds_of
+
+RATIO = "poissons_ratio"
 
 NEARLY_INCOMPRESSIBLE = 0.49
 """Poisson's ratio from which a beam of 8 cells bends 3 % too little with local volumes."""
@@ -62,9 +66,14 @@ def locking_bodies(scene: Scene) -> Iterator[Problem]:
 
 
 def _ratios(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Yield the path of each body's Poisson's ratio, and the largest value that it may have."""
+    """Yield the path of each Poisson's ratio of a body or a part of it, and the largest value that it may have."""
+    along = {canonical(scene, key): max(values_of(entry)) for key, entry in scene.path.items() if key.endswith(RATIO)}
     for name, body in scene.bodies.items():
         law = body.material.elastic
-        path = f"bodies.{name}.material.elastic.{law.name}.poissons_ratio"
-        ratio = getattr(law.value, "poissons_ratio", 0.0)
-        yield path, max(ratio, *(bounds_of(scene, path) or (ratio,)))
+        inside = f"elastic.{law.name}.{RATIO}"
+        found = {f"bodies.{name}.material.{inside}": getattr(law.value, RATIO, 0.0)}
+        for part, other in body.material_of.items():
+            if (ratio := other.value(inside)) is not None:
+                found[f"bodies.{name}.material_of.{part}.{inside}"] = ratio
+        for path, ratio in found.items():
+            yield path, max(ratio, *(bounds_of(scene, path) or (ratio,)), along.get(path, ratio))

@@ -8,9 +8,9 @@ import numpy as np
 
 from cqrun.build.check_holds import held_problem
 from cqrun.build.history import remembering
-from cqrun.build.load_path import checked_key, inputs_of
+from cqrun.build.load_path import checked_key, idle_actuators, inputs_of
 from cqrun.build.model import Built
-from cqrun.engine.setting import MARGIN, grid_shape
+from cqrun.engine.reference.rest import rest_geometry
 from cqrun.engine.statics.path import RestPath
 from cqrun.errors import DataError, NoRestError, Problem, SceneError
 from cqrun.explain import listed
@@ -46,7 +46,7 @@ def rest_points(scene: Scene, name: str, built: Built, comparison: RestCompariso
     for key, column in comparison.loads.items():
         where = f"data.recordings.{name}.{comparison.spec.name}.loads.{column}"
         long[key] = checked_key(built, key, where, [point[key] for point in comparison.points])
-        if message := _fitted(scene, name, long[key]) or _idle(built, long[key]):
+        if message := _fitted(scene, name, long[key]) or idle_actuators(built).get(long[key]):
             raise SceneError([Problem(scene.where(where), where, message)])
     points = tuple({long[key]: value for key, value in point.items()} for point in comparison.points)
     _require_free(built, comparison)
@@ -95,19 +95,6 @@ def _fitted(scene: Scene, name: str, load: str) -> str:
     return ""
 
 
-def _idle(built: Built, load: str) -> str:
-    """Return what is wrong if a load is the strength of an actuator that nothing activates; empty if it is not."""
-    actuation = built.assembly.actuation
-    last = actuation.activations(built.assembly.sequence, {})[-1]
-    for part, activation, neutral in zip(actuation.parts, last, actuation.neutral, strict=True):
-        if load == f"{part.path}.{part.spec.scale}" and activation == neutral:
-            return (
-                f"'{load}' does nothing, because the activation of '{part.name}' is {activation:g} at rest: give "
-                f"`activation: {{signals: {{{part.actuator}: [1]}}}}`"
-            )
-    return ""
-
-
 def _require_held(built: Built, points: Sequence[Mapping[str, float]]) -> None:
     """Raise a SceneError for bodies that nothing holds."""
     scene = built.scene
@@ -134,13 +121,8 @@ def _require_free(built: Built, comparison: RestComparison) -> None:
 
 def clamped_particles(built: Built) -> Array:
     """Return the particles that cannot move (N,) of bool: every node around them is in a `sticky` boundary."""
-    model, x = built.model, built.particles.x
-    shape = grid_shape(model.size, model.dx)
-    held = np.zeros(int(np.prod(shape)), bool)
-    for condition in model.conditions:
-        if condition.spec.name == "sticky":
-            held |= condition.nodes
-    held = held.reshape(shape)
-    base = np.floor(x / model.dx + MARGIN - 0.5).astype(int)
-    corners = np.stack(np.meshgrid(*[np.arange(3)] * model.dim, indexing="ij"), -1).reshape(-1, model.dim)
-    return np.all([held[tuple((base + corner).T)] for corner in corners], axis=0)
+    model = built.model
+    rest = rest_geometry(model, built.particles.x)
+    clamps = sum(1 << k for k, condition in enumerate(model.conditions) if condition.spec.name == "sticky")
+    nodes, _ = rest.weights(rest.patches.layout.columns())
+    return np.asarray((rest.held(model).bits[nodes] & clamps != 0).all(axis=1))

@@ -7,7 +7,8 @@ result.json       every point, findings
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy as np
 from cqrun.build.check_frame import TOO_COARSE, touched
 from cqrun.build.check_holds import unheld_problems
 from cqrun.build.history import remembering
-from cqrun.build.load_path import inputs_of, points_of
+from cqrun.build.load_path import idle_actuators, inputs_of, points_of
 from cqrun.build.model import Built
 from cqrun.build.thickness import thinnest_parts
 from cqrun.engine.statics.equilibrium import Equilibrium
@@ -32,6 +33,7 @@ from cqrun.running.reporter import Reporter
 from cqrun.running.rest_table import RestTable, rest_frames, write_frame
 from cqrun.running.runs import build_and_warn
 from cqrun.running.tables import number, table
+from cqrun.scene.load_path import ACTIVATION
 from cqrun.scene.schema import Scene
 from cqrun.store.rest_point import RestPoint
 from cqrun.store.rest_points import delete_points, read_point, write_point
@@ -43,6 +45,10 @@ TOLERANCE = 1e-8
 
 NEAR = 0.02
 """A smallest eigenvalue below this part of its largest along the path is reported: a limit point is near."""
+
+
+MOTION = re.compile(r"bodies\.[^.]+\.((velocity|spin)\..*|material\.viscosity\..*)|loads\.[^.]+\.damping\..*")
+"""Key paths that matter in motion alone."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +68,14 @@ class RestJob(Job[Resting, RestResult]):
         """Build a scene, and refuse what needs time."""
         require_no_time(scene)
         built = build_and_warn(scene, talk)
-        idle = [Problem(scene.where(path), path, message) for path, message in _idle(scene)]
-        for problem in idle:
-            talk.warn(str(problem))
         if unheld := unheld_problems(scene, built.particles, built.model.conditions):
             raise SceneError(unheld)
-        return Resting(replace(built, warnings=(*built.warnings, *idle)), tuple(points_of(built)), threads)
+        points = tuple(points_of(built))
+        found = [*_idle(scene), *_idle_along(built, points)]
+        idle = [Problem(scene.where(path), path, message) for path, message in found]
+        for problem in idle:
+            talk.warn(str(problem))
+        return Resting(replace(built, warnings=(*built.warnings, *idle)), points, threads)
 
     def reads_data(self, scene: Scene) -> bool:
         """Return False: rest reads no recordings."""
@@ -186,6 +194,18 @@ def _idle(scene: Scene) -> Iterator[tuple[str, str]]:
         if getattr(chosen.value, "over", None) is not None:
             path = f"boundaries.{name}.{chosen.name}.over"
             yield path, "has no effect at rest: `cqrun rest` carries the boundary to its place at once"
+
+
+def _idle_along(built: Built, points: Sequence[dict[str, float]]) -> Iterator[tuple[str, str]]:
+    """Yield what has no effect along the path: motion, and strengths of actuators that nothing activates."""
+    keys = list(points[0])
+    for key in keys:
+        if MOTION.fullmatch(key):
+            yield f"path.{key}", "has no effect at rest, where nothing moves"
+    activated = [key.removeprefix(ACTIVATION).partition(".")[0] for key in keys if key.startswith(ACTIVATION)]
+    for path, message in idle_actuators(built).items():
+        if path.split(".")[1] not in activated:
+            yield (f"path.{path}" if path in keys else path), message
 
 
 def _facts(point: Point) -> dict[str, Any]:

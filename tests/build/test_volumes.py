@@ -9,7 +9,7 @@ import pytest
 from cqrun.build.model import build
 from cqrun.build.volumes import averages, locking_bodies
 from cqrun.errors import SceneError
-from cqrun.scene.load import load_scene
+from cqrun.scene.load import load_scene, resolve
 
 RATIO = "bodies.block.material.elastic.fixed_corotated.poissons_ratio"
 
@@ -66,6 +66,31 @@ def test_a_beam_of_two_cells_with_a_ratio_of_0_4999_is_warned_of():
 def test_the_updated_frame_refuses_averaged_volumes():
     with pytest.raises(SceneError, match=r"world\.volume: volumes are averaged in the reference frame alone"):
         build(scene(0.4, volume="averaged", frame="updated"))
+
+
+PART = "bodies.block.material_of.half.elastic.fixed_corotated.poissons_ratio"
+
+
+def of_two_materials(ratio, **world):
+    """Return the scene with another Poisson's ratio in one half of the block."""
+    spec = resolve(scene(0.3, **world))
+    block = spec["bodies"]["block"]
+    block["groups"] = {"half": {"box": {"corner": [0.3, 0.3], "size": [0.2, 0.2]}}}
+    block["material_of"] = {"half": {"elastic": {"fixed_corotated": {"youngs_modulus": 1e4, "poissons_ratio": ratio}}}}
+    return load_scene(spec)
+
+
+def test_a_part_of_a_body_counts():
+    assert averages(of_two_materials(0.495))
+    assert not averages(of_two_materials(0.4))
+    (message,) = map(str, locking_bodies(of_two_materials(0.495, volume="local")))
+    assert f"{PART}: 0.495 is nearly incompressible" in message
+
+
+def test_a_path_of_equilibria_counts():
+    spec = resolve(scene(0.3)) | {"job": "rest", "path": {RATIO: [0.3, 0.499]}}
+    assert averages(load_scene(spec))
+    assert not averages(load_scene(spec | {"path": {RATIO: {"first": 0.3, "last": 0.4, "points": 3}}}))
 
 
 def test_a_law_without_an_energy_of_the_volume_is_refused(monkeypatch):

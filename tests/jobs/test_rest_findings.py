@@ -176,6 +176,41 @@ def test_what_has_no_effect_at_rest_is_named(beam, name):
     assert any(f"{path}: has no effect at rest" in said for said in listener.said), listener.said
 
 
+ALONG = {
+    "strength": (
+        ["path={actuators.top.muscle.strength: [0, 1.0e4]}"],
+        "path.actuators.top.muscle.strength: 'actuators.top.muscle.strength' does nothing, because the activation",
+    ),
+    "nothing": ([], "actuators.top.muscle.strength: 'actuators.top.muscle.strength' does nothing"),
+    "velocity": (["path={bodies.beam.velocity.0: [0, 1]}"], "path.bodies.beam.velocity.0: has no effect at rest"),
+}
+
+
+@pytest.mark.parametrize("name", ALONG)
+def test_what_has_no_effect_along_a_path_is_named(tmp_path, name):
+    overrides, message = ALONG[name]
+    (tmp_path / "a.yaml").write_text(BODY + HELD + ACTING)
+    listener = Listener()
+    module.REST.prepare(load_scene(tmp_path / "a.yaml", overrides), 1, listener)
+    assert any(message in said for said in listener.said), listener.said
+
+
+def test_an_activation_along_a_path_has_an_effect(tmp_path):
+    (tmp_path / "a.yaml").write_text(BODY + HELD + ACTING)
+    listener = Listener()
+    path = "path={activation.top: [0, 1], actuators.top.muscle.strength: [1.0e4, 2.0e4]}"
+    module.REST.prepare(load_scene(tmp_path / "a.yaml", [path]), 1, listener)
+    assert not any("does nothing" in said for said in listener.said), listener.said
+
+
+def test_a_path_along_which_nothing_moves_has_no_jump(tmp_path):
+    """Rounding moves the body by 1e-12 m from one point to the next."""
+    (tmp_path / "a.yaml").write_text(BODY + HELD + ACTING)
+    path = "path={actuators.top.muscle.strength: [0, 3.0e4, 1.0e4, 2.0e4]}"
+    result = result_of(rest(tmp_path / "a.yaml", tmp_path / "out", path))
+    assert not any("jumps" in finding for finding in result["findings"]), result["findings"]
+
+
 def test_a_path_has_no_effect_on_a_motion(tmp_path):
     path = "path: {loads.pull.point_force.force.1: [0, -1]}\n"
     (tmp_path / "a.yaml").write_text((BODY + HELD + ACTING + path + TIME).replace("job: rest", "job: simulate"))
