@@ -34,7 +34,12 @@ ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "scenes" / "sysid" / "real_beam_rest.yaml"
 LAW = "bodies.beam.material.elastic.fixed_corotated"
 MODULUS = 2.7e5
-AT_REST = ["job=null", "data=null", "unknowns=null", "optimizer=null", "world.frame=reference"]
+AT_REST = [
+    "job=null", "data=null", "unknowns=null", "optimizer=null", "world.frame=reference",
+    "boundaries.clamp.sticky.region.box.size.0=0.04", f"{LAW}.youngs_modulus={MODULUS!r}",
+]  # fmt: skip
+"""The beam alone, 100 mm long."""
+
 STIFF = [f"{LAW}.poissons_ratio=0.499", "world.volume=averaged"]
 FINE = ["world.dx=0.0025"]
 CASES: dict[str, list[str]] = {
