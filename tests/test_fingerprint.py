@@ -60,7 +60,7 @@ def test_every_listed_source_exists():
 
 
 AFTERWARDS = {
-    "ablation", "api", "bench", "bodies", "compress", "excerpt", "export", "extrapolation", "fleet", "grids",
+    "ablation", "api", "axes", "bench", "bodies", "compress", "excerpt", "export", "extrapolation", "fleet", "grids",
     "kernels", "observables", "oscillation", "quantities", "reporter", "runs", "seeds", "selfcheck", "threads",
     "trajectories", "validate", "warmup",
 }  # fmt: skip

@@ -28,6 +28,7 @@ from cqrun.cli.rest import rest
 from cqrun.cli.resume import resume
 from cqrun.cli.schema import schema
 from cqrun.cli.simulate import simulate
+from cqrun.cli.sweep import sweep
 from cqrun.cli.sysid import sysid
 from cqrun.cli.terminal import echo
 from cqrun.cli.validate import validate
@@ -37,8 +38,8 @@ from cqrun.running.reporter import StopFlag
 from cqrun.version import __version__
 
 COMMANDS = (
-    sysid, control, codesign, simulate, rest, gradcheck, resume, validate, describe, schema, plot, render, export,
-    compress, bench, warmup, doctor,
+    sysid, control, codesign, simulate, rest, sweep, gradcheck, resume, validate, describe, schema, plot, render,
+    export, compress, bench, warmup, doctor,
 )  # fmt: skip
 
 app = typer.Typer(

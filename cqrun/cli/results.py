@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -86,6 +86,25 @@ def draw_and_print_resolution(study: Path, succeeded: bool, quiet: bool, allow_p
                     _draw(partial(draw_run, run), f"`cqrun plot {run}` shows the details")
     finally:
         for line in resolution_lines(study):
+            echo(printable(line))
+    if not succeeded:
+        raise typer.Exit(1)
+
+
+def draw_and_print_sweep(study: Path, succeeded: bool, quiet: bool, show: Sequence[str]) -> None:
+    """Draw and print a sweep; exit with 1 if a run failed. Raises as `draw_and_print_run`, and UsageError by `show`."""
+    from cqrun.cli.progress import reporting
+    from cqrun.jobs.studies.sweep import sweep_lines
+
+    stopped = f"stopped while the picture was drawn; the runs are finished, and the numbers are in {study}"
+    try:
+        if _wanted():
+            with reporting(quiet, "drawing the sweep", stopped):
+                from cqrun.figures.sweep import draw_sweep
+
+                _draw(lambda: draw_sweep(study, show), f"the numbers are in {study}")
+    finally:
+        for line in sweep_lines(study):
             echo(printable(line))
     if not succeeded:
         raise typer.Exit(1)

@@ -131,7 +131,7 @@ def _run_all(members: Sequence[Member], at_once: int, what: str, reporter: Repor
                 if member.failure is not None and not stopping:
                     reporter.warn(f"{member.name}: {member.failure}")
             if not stopping:
-                _report_progress(members, running, waiting, what, reporter)
+                report_progress(members, running, waiting, what, reporter)
             if running or waiting:
                 time.sleep(POLL_INTERVAL)
     finally:  # after a second signal, or an error here
@@ -139,12 +139,12 @@ def _run_all(members: Sequence[Member], at_once: int, what: str, reporter: Repor
             member.kill()
 
 
-def _report_progress(
+def report_progress(
     members: Sequence[Member], running: Sequence[Member], waiting: Sequence[Member], what: str, reporter: Reporter
 ) -> None:
     """Report the progress of all members in one line."""
     finished = [m for m in members if m not in running and m not in waiting]
-    reached = [f"{m.name} at {m.iteration}/{m.iterations}" for m in running]
+    reached = [f"{m.name} at {m.iteration}/{m.iterations}" if m.iterations > 1 else m.name for m in running]
     done = sum(m.iterations for m in finished) + sum(m.iteration for m in running)
     total = sum(m.iterations for m in members)
     reporter.advance(done, total, ", ".join([f"{len(finished)} of {len(members)} {what}", *reached]))

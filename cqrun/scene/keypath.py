@@ -6,7 +6,7 @@ Keys may contain dots (the keys of `unknowns` are paths), so a path is split by 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from cqrun.explain import Loc, listed
@@ -122,3 +122,17 @@ def removed(data: Any, loc: Loc) -> Any:
         existing = listed(data) if isinstance(data, dict) and data else "nothing"
         raise KeyError(f"cannot be removed: there is no '{key}'; there is: {existing}")
     return {**data, key: removed(data[key], rest)} if rest else {k: v for k, v in data.items() if k != key}
+
+
+def shortest(paths: Sequence[str]) -> list[str]:
+    """Return the shortest ends of key paths that are still different: `size.1` and `size.2`, or `youngs_modulus`."""
+    keys = [path.split(".") for path in paths]
+    out = []
+    for own in keys:
+        length = 1
+        while length < len(own) and (
+            own[-length].isdigit() or sum(other[-length:] == own[-length:] for other in keys) > 1
+        ):
+            length += 1
+        out.append(".".join(own[-length:]))
+    return out

@@ -155,8 +155,55 @@ class Resolution(Part):
     notes: list[str]
 
 
-def write_study(file: Path, study: SeedsSummary | Ablation | Resolution) -> None:
-    """Write a summary of seeds, a comparison of variants, or what several grids show.
+class Found(Part):
+    """A number that runs of a sweep found: its unit; empty for a pure number."""
+
+    unit: str
+
+
+class SweptRun(Part):
+    """The run at one point of a sweep.
+
+    Attributes:
+        values: the values of the point as YAML text, by key path.
+        run: its directory.
+        status, reason: how it ended, and why if it failed.
+        found: the numbers that it found, by name.
+    """
+
+    values: dict[str, str]
+    run: str
+    status: str
+    reason: str | None = optional()
+    found: dict[str, float]
+
+
+class Sweep(Part):
+    """The runs of one scene at several points.
+
+    Attributes:
+        scene: the stem of the scene file.
+        job: the job of the runs.
+        axes: key paths of the values, in the order of the command.
+        found: the numbers that runs found, by name.
+        runs: the runs, in the order of the points.
+    """
+
+    scene: str
+    job: str
+    axes: list[str]
+    found: dict[str, Found]
+    runs: list[SweptRun]
+
+    def varying(self) -> list[str]:
+        """Return the names of the numbers that differ between runs, those of most runs first; all if none differs."""
+        seen = {name: [run.found[name] for run in self.runs if name in run.found] for name in self.found}
+        different = [name for name, values in seen.items() if len(set(values)) > 1]
+        return sorted(different, key=lambda name: -len(seen[name])) or list(self.found)
+
+
+def write_study(file: Path, study: SeedsSummary | Ablation | Resolution | Sweep) -> None:
+    """Write a summary of seeds, a comparison of variants, what several grids show, or a sweep.
 
     Raises:
         UsageError, RunError: the file cannot be written.
@@ -177,3 +224,8 @@ def read_ablation(file: Path) -> Ablation:
 def read_resolution(file: Path) -> Resolution:
     """Return what several grids show; UsageError if the file is damaged, or another program wrote it."""
     return read_model(file, TypeAdapter(Resolution))
+
+
+def read_sweep(file: Path) -> Sweep:
+    """Return a sweep; UsageError if the file is damaged, or another program wrote it."""
+    return read_model(file, TypeAdapter(Sweep))

@@ -1,0 +1,83 @@
+"""`cqrun sweep`: run a scene at many points, and make one table of what was asked and found."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Threads
+
+Axes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "-s",
+        "--set",
+        metavar="KEY=VALUES",
+        help="Values of a key (repeatable): a,b,c; or FROM:TO:COUNT; or FROM:TO:log:COUNT; or FROM:TO for --samples.",
+    ),
+]
+Samples = Annotated[
+    int | None, typer.Option("--samples", metavar="N", help="Number of samples of the ranges without a count.")
+]
+Random = Annotated[bool, typer.Option("--random", help="Draw samples independently, not evenly as a Latin hypercube.")]
+Draw = Annotated[int, typer.Option("--draw", min=0, metavar="K", help="Seed of the samples.")]
+OfSeeds = Annotated[
+    int | None, typer.Option("--seeds", metavar="N", help="Also run every point with the scene's seeds 0 to N - 1.")
+]
+JobName = Annotated[
+    str | None,
+    typer.Option("--job", metavar="JOB", help="Job of the runs; the scene's own if not given, or simulate."),
+]
+Show = Annotated[
+    list[str] | None,
+    typer.Option("--show", metavar="NUMBER", help="Column of the table that the picture shows (repeatable)."),
+]
+
+
+On = Annotated[
+    str,
+    typer.Option(
+        "--on",
+        metavar="PLACE",
+        help="Where the runs are made: processes of this machine; dask, a local cluster; dask://HOST:PORT; or slurm.",
+    ),
+]
+
+
+def sweep(
+    scene: Scene,
+    axes: Axes = None,
+    samples: Samples = None,
+    random: Random = False,
+    draw: Draw = 0,
+    seeds: OfSeeds = None,
+    job: JobName = None,
+    jobs: Jobs = None,
+    on: On = "processes",
+    show: Show = None,
+    overrides: Overrides = None,
+    out: Out = DEFAULT_OUT,
+    fresh: Fresh = False,
+    threads: Threads = None,
+    allow_plugins: AllowPlugins = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a scene with many values of some of its keys, several at once, and make a table of what was found.
+
+    All combinations of the values are run. Use the same command again to continue, or a wider one to add points.
+    """
+    from cqrun.cli.progress import working
+    from cqrun.cli.results import draw_and_print_sweep
+
+    with working(quiet, allow_plugins, f"reading {scene}") as reporter:
+        from cqrun.jobs.studies.sweep import SweepOptions, run_sweep
+
+        options = SweepOptions(
+            axes or [], samples, "random" if random else "latin", draw, seeds=seeds, job=job, jobs=jobs, on=on
+        )
+        table, succeeded = run_sweep(
+            scene, overrides or [], out, options, fresh=fresh, threads=threads, allow_plugins=allow_plugins,
+            reporter=reporter,
+        )  # fmt: skip
+    draw_and_print_sweep(table, succeeded, quiet, show or [])

@@ -1,0 +1,285 @@
+"""`cqrun sweep`: run a scene at many points, several at once, and write what was asked and found into one table.
+
+Every point is a run in its own process, which can be stopped and resumed like any other run. The same command continues
+unfinished runs, and a wider sweep uses those that are finished. The sweep is written beside their directories:
+
+sweep-<hash>.csv    one row per run: its values, how it ended, what it found, its directory
+sweep-<hash>.json   the same
+sweep-<hash>.png    a picture (figures/sweep.py)
+
+The hash is that of the scene, the job and the points.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cqrun.errors import SceneError, UsageError
+from cqrun.explain import listed
+from cqrun.jobs.job import Job
+from cqrun.jobs.studies.axes import Point, Sampling, axis_of, points_of
+from cqrun.jobs.studies.quantities import Quantity, quantities_of
+from cqrun.jobs.studies.seeds import INFEASIBLE, command_of, has_ended
+from cqrun.jobs.table import JOBS
+from cqrun.running.cluster import PROCESSES, Parcel, run_on_cluster
+from cqrun.running.fleet import Member, run_fleet
+from cqrun.running.reporter import Reporter, Silent
+from cqrun.running.runs import data_files, part_files, run_scene, scene_in
+from cqrun.running.tables import number, table
+from cqrun.running.threads import cores
+from cqrun.scene.keypath import shortest
+from cqrun.scene.load import load_scene
+from cqrun.scene.plugin_files import plugins_allowed
+from cqrun.scene.schema import Scene
+from cqrun.store.atomic import write_table
+from cqrun.store.folder import make_below
+from cqrun.store.model_file import path_of
+from cqrun.store.result import LearnedResult, SimulateResult, read_result
+from cqrun.store.run import read_record
+from cqrun.store.run_scene import stem_of
+from cqrun.store.study import Found, Sweep, SweptRun, read_sweep, write_study
+
+MOST_ROWS = 40
+"""Rows of the table at the terminal, at most; the file has all."""
+
+MOST_COLUMNS = 4
+"""Numbers that the table at the terminal shows of each run, at most."""
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """What a sweep runs.
+
+    Attributes:
+        axes: texts after `-s`.
+        samples: number of samples of the ranges without a count.
+        sampling: how they are drawn, and `draw` the seed for it.
+        seeds: the scene's `seed` takes the values 0 .. seeds - 1, too.
+        job: name of the job; the scene's own if None, or simulate if it has none.
+        jobs: number of processes at once; the number of threads if None.
+        on: where they run: `processes` of this machine, or a place of running/cluster.py.
+    """
+
+    axes: Sequence[str] = ()
+    samples: int | None = None
+    sampling: Sampling = "latin"
+    draw: int = 0
+    seeds: int | None = None
+    job: str | None = None
+    jobs: int | None = None
+    on: str = PROCESSES
+
+    def points(self) -> list[Point]:
+        """Return the points; raise UsageError as `points_of`."""
+        for name, count in (("seeds", self.seeds), ("jobs", self.jobs), ("samples", self.samples)):
+            if count is not None and count < 1:
+                raise UsageError(f"--{name} {count}: must be at least 1")
+        texts = [*self.axes, *([f"seed={','.join(map(str, range(self.seeds)))}"] if self.seeds else [])]
+        return points_of([axis_of(text) for text in texts], self.samples, self.sampling, self.draw)
+
+
+def run_sweep(
+    source: Path | str, overrides: Sequence[str], out: Path | str, options: SweepOptions, *, fresh: bool = False,
+    threads: int | None = None, allow_plugins: bool = False, reporter: Reporter | None = None,
+) -> tuple[Path, bool]:  # fmt: skip
+    """Run a scene at all points of a sweep; return the sweep's JSON file, and whether all runs succeeded.
+
+    Args:
+        threads: number of threads for all processes, which share them equally.
+        allow_plugins: passed to the processes.
+
+    Raises:
+        SceneError, UsageError: bad input. Stopped: asked to stop; the same command continues.
+    """
+    source, out, talk = Path(source), Path(out), reporter or Silent()
+    points, n_threads = options.points(), cores(threads)
+    scene = load_scene(source, overrides)
+    job = _job_of(options.job, scene)
+    at_once = min(len(points), options.jobs or n_threads)
+    words = command_of(job.name, source, out, n_threads // at_once, fresh, allow_plugins)
+    names = list(dict.fromkeys(path for point in points for path in point))
+    members = list(_members(points, names, words, job, source, overrides, out, talk))
+    path = make_below(out, stem_of(source)) / f"sweep-{_digest(source, scene, job, points)}.json"
+    talk.phase(f"{len(points)} runs of {job.name}, {at_once} at once")
+    if options.on == PROCESSES:
+        run_fleet(members, at_once, "runs", talk)
+    else:
+        parcel = _parcel(source, scene, job)
+        run_on_cluster(members, options.on, at_once, "runs", talk, source=source, out=out, parcel=parcel)
+    good = sum(member.failure is None for member in members)
+    sweep = _summary(stem_of(source), job, points, names, members)
+    write_study(path, sweep)
+    write_table(path.with_suffix(".csv"), table_rows(sweep))
+    if talk.stop.asked and good < len(points):
+        raise talk.stop.stopped(f"{good} of {len(points)} runs are finished; the same command continues the others")
+    return path, good == len(points)
+
+
+def sweep(
+    scene: Path | str, axes: Sequence[str], overrides: Sequence[str] = (), *, samples: int | None = None,
+    seeds: int | None = None, job: str | None = None, jobs: int | None = None, on: str = PROCESSES,
+    out: Path | str = "results", fresh: bool = False, threads: int | None = None, allow_plugins: bool = False,
+) -> Sweep:  # fmt: skip
+    """Run a scene file at many points, each in a process of its own.
+
+    Args:
+        scene: the scene file.
+        axes: texts such as `key=1,2,3`, `key=1:5:9`, `key=1e4:1e6:log:7` or, with `samples`, `key=1:5`.
+        overrides: list of `key.path=value`, the same for all points.
+        samples: number of points of a Latin hypercube in the ranges without a count.
+        seeds: the scene's seed takes the values 0 .. seeds - 1, too.
+        job: sysid, control, codesign, simulate or rest; the scene's own if not given, or simulate if it has none.
+        jobs: number of runs at once; the number of threads if not given.
+        on: `processes`, `dask`, `dask://HOST:PORT` or `slurm`.
+        out: directory of all results; finished runs in it are not repeated.
+        fresh: delete existing runs and start again.
+        threads: number of threads of all runs together; all cores if not given.
+        allow_plugins: whether to run the plug-in files that the scene names.
+
+    Returns:
+        `runs`, each with its `values`, `status`, `found` numbers and `run` directory.
+
+    Raises:
+        SceneError, UsageError: bad input.
+    """
+    options = SweepOptions(axes, samples, seeds=seeds, job=job, jobs=jobs, on=on)
+    with plugins_allowed(allow_plugins):
+        path, _ = run_sweep(
+            scene, overrides, out, options, fresh=fresh, threads=threads, allow_plugins=allow_plugins
+        )  # fmt: skip
+    return read_sweep(path)
+
+
+def _job_of(name: str | None, scene: Scene) -> Job[Any, Any]:
+    """Return the job of a sweep."""
+    chosen = name or scene.job or "simulate"
+    if chosen not in JOBS or chosen == "gradcheck":
+        known = [job for job in JOBS if job != "gradcheck"]
+        raise UsageError(f"--job {chosen}: there is no such job; there are {listed(known)}")
+    return JOBS[chosen]
+
+
+def _members(
+    points: Sequence[Point], names: Sequence[str], words: Sequence[str], job: Job[Any, Any], source: Path,
+    overrides: Sequence[str], out: Path, talk: Reporter,
+) -> Iterator[Member]:  # fmt: skip
+    """Yield the run of every point, after the scene of this point is checked.
+
+    Raises:
+        SceneError: the scene of a point is wrong.
+    """
+    labels, warned = dict(zip(names, shortest(names), strict=True)), set[str]()
+    for k, point in enumerate(points, start=1):
+        talk.phase(f"checking point {k} of {len(points)}")
+        label = ", ".join(f"{labels[path]}={value}" for path, value in point.items())
+        own = [*overrides, *(f"{path}={value}" for path, value in point.items())]
+        try:
+            scene = job.prepare(load_scene(source, own), 1, Silent()).built
+        except SceneError as error:
+            raise SceneError([replace(p, message=f"at {label}: {p.message}") for p in error.problems]) from None
+        for warning in map(str, scene.warnings):
+            if warning not in warned:
+                talk.warn(warning if len(points) == 1 else f"{warning} (first at {label})")
+            warned.add(warning)
+        optimizer: Any = None if scene.scene.optimizer is None else scene.scene.optimizer.value
+        digest = run_scene(stem_of(source), scene.scene, job=job.name, with_data=job.reads_data(scene.scene)).digest()
+        options = [word for override in own for word in ("-o", override)]
+        steps = getattr(optimizer, "max_iterations", 1) if job.extensible else 1
+        yield Member(label, out / stem_of(source) / digest, [*words, *options], steps)
+
+
+def _parcel(source: Path, scene: Scene, job: Job[Any, Any]) -> Parcel | None:
+    """Return the scene and the files that it names; None if one is not below the scene's folder."""
+    named = part_files(scene) | scene.plugin_paths() | (data_files(scene) if job.reads_data(scene) else {})
+    folder, files = source.resolve().parent, {source.name: source.read_bytes()}
+    for path in (path.resolve() for path in named.values()):
+        if not path.is_relative_to(folder):
+            return None
+        files[str(path.relative_to(folder))] = path.read_bytes()
+    return Parcel(source.name, files)
+
+
+def _digest(source: Path, scene: Scene, job: Job[Any, Any], points: Sequence[Point]) -> str:
+    """Return the hash of the scene, the job and the points."""
+    digest = run_scene(stem_of(source), scene, job=job.name, with_data=job.reads_data(scene)).digest()
+    return hashlib.sha256(f"{digest}\0{[*points]}".encode()).hexdigest()[:12]
+
+
+# --- what was found ---------------------------------------------------------------------------------------------------
+
+
+def _summary(
+    stem: str, job: Job[Any, Any], points: Sequence[Point], names: Sequence[str], members: Sequence[Member]
+) -> Sweep:
+    """Return the runs of all points with what they found."""
+    runs, units = [], dict[str, str]()
+    for point, member in zip(points, members, strict=True):
+        quantities = found_in(job, member.run) if has_ended(member) else {}
+        units |= {name: quantity.unit for name, quantity in quantities.items()}
+        record = read_record(member.run) if has_ended(member) else {"status": "failed"}
+        runs.append(SweptRun(
+            values=point, run=str(member.run), status=str(record["status"]), reason=member.failure,
+            found={name: quantity.value for name, quantity in quantities.items()},
+        ))  # fmt: skip
+    found = {name: Found(unit=unit) for name, unit in units.items()}
+    return Sweep(scene=stem, job=job.name, axes=list(names), found=found, runs=runs)
+
+
+def found_in(job: Job[Any, Any], run: Path) -> dict[str, Quantity]:
+    """Return the numbers that a finished run found, by name: its loss first."""
+    result = read_result(run)
+    scores: dict[str, float] = {}
+    if isinstance(result, LearnedResult):
+        stages = result.stages()
+        stage = stages.get("trained") or stages.get("start")
+        scores = {} if stage is None else {"loss": stage.loss, **stage.terms}
+        scores |= {name: float(u.value) for name, u in result.unknowns.items() if isinstance(u.value, float | int)}
+        return {name: Quantity(value, "") for name, value in scores.items()}
+    if isinstance(result, SimulateResult) and result.loss is not None:
+        scores = {"loss": result.loss, **(result.terms or {})}
+    built = job.prepare(scene_in(run, with_data=job.reads_data(load_scene(run / "scene.yaml"))), 1, Silent()).built
+    return {name: Quantity(value, "") for name, value in scores.items()} | quantities_of(job.name, run, built)
+
+
+def table_rows(sweep: Sweep) -> Iterator[list[object]]:
+    """Yield the rows of sweep.csv."""
+    yield [*sweep.axes, "status", *(_titled(name, of) for name, of in sweep.found.items()), "run", "reason"]
+    for run in sweep.runs:
+        values = [run.values[path] for path in sweep.axes]
+        yield [*values, run.status, *(run.found.get(name) for name in sweep.found), run.run, run.reason]
+
+
+def _titled(name: str, of: Found) -> str:
+    return f"{name} [{of.unit}]" if of.unit else name
+
+
+# --- the report -------------------------------------------------------------------------------------------------------
+
+
+def sweep_lines(path: Path) -> list[str]:
+    """Return a sweep as lines for a terminal."""
+    sweep = read_sweep(path)
+    failed = [run for run in sweep.runs if run.status == "failed"]
+    columns = sweep.varying()[:MOST_COLUMNS]
+    head = (*shortest(sweep.axes), *(_titled(name, sweep.found[name]) for name in columns), "status")
+    rows = [
+        (*(run.values[path] for path in sweep.axes), *(_cell(run.found.get(name)) for name in columns), run.status)
+        for run in sweep.runs[:MOST_ROWS]
+    ]
+    lines = [f"{len(sweep.runs) - len(failed)} of {len(sweep.runs)} runs ended", "", *table(head, rows)]
+    if len(sweep.runs) > MOST_ROWS:
+        lines.append(f"... and {len(sweep.runs) - MOST_ROWS} more in {path.with_suffix('.csv')}")
+    infeasible = sum(run.status == INFEASIBLE for run in sweep.runs)
+    lines += [f"{infeasible} runs do not meet their constraints"] if infeasible else []
+    lines += [f"failed: {path_of(run.run)}: {run.reason}" for run in failed]
+    picture = path.with_suffix(".png")
+    lines += ["", f"picture: {picture}"] if picture.is_file() else [""]
+    return [*lines, f"sweep: {path.with_suffix('.csv')}"]
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else number(value)

@@ -1,0 +1,188 @@
+"""`cqrun sweep`: a run for every point, in processes of their own, and one table of what was asked and found."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from small_beam import Listener, assert_same
+from typer.testing import CliRunner
+
+import cqrun
+from cqrun.cli.app import app
+from cqrun.errors import SceneError, Stopped, UsageError
+from cqrun.figures.sweep import draw_sweep
+from cqrun.jobs.studies.sweep import SweepOptions, run_sweep, sweep_lines
+from cqrun.store.study import Found, Sweep, SweptRun, read_sweep, write_study
+
+BEAM = """
+cqrun: 1
+world: {size: [0.4, 0.3], dx: 0.02, gravity: [0, -9.81]}
+bodies:
+  beam:
+    shape: {box: {corner: [0.02, 0.2], size: [0.2, 0.04]}}
+    particles_per_cell: 4
+    material: {density: 1000, elastic: {neo_hookean: {youngs_modulus: 5.0e4, poissons_ratio: 0.3}}}
+boundaries:
+  clamp: {sticky: {region: {box: {corner: [0, 0], size: [0.04, 0.3]}}}}
+time: {duration: 0.1, control_step: 0.01}
+"""
+E, NU = (f"bodies.beam.material.elastic.neo_hookean.{name}" for name in ("youngs_modulus", "poissons_ratio"))
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """Return the folder of a sweep of 2 x 2 runs, its file, and what it told."""
+    folder = tmp_path_factory.mktemp("sweep")
+    (folder / "beam.yaml").write_text(BEAM)
+    listener = Listener()
+    options = SweepOptions([f"{E}=4e4,8e4", f"{NU}=0.2:0.4:2"], jobs=2)
+    path, good = run_sweep(folder / "beam.yaml", [], folder / "out", options, threads=2, reporter=listener)
+    assert good
+    return folder, path, listener
+
+
+def test_every_point_is_a_run_of_its_own_and_a_row_of_the_table(swept):
+    _, path, _ = swept
+    sweep = read_sweep(path)
+    assert [(run.values[E], run.values[NU]) for run in sweep.runs] == [
+        (a, b) for a in ("4e4", "8e4") for b in ("0.2", "0.4")
+    ]
+    rows = list(csv.DictReader(path.with_suffix(".csv").read_text().splitlines()))
+    for run, row in zip(sweep.runs, rows, strict=True):
+        assert (Path(run.run) / "result.json").is_file()
+        assert row[E] == run.values[E]
+        assert row["status"] == run.status == "done"
+        assert float(row["beam.deflection [m]"]) == run.found["beam.deflection"]
+        assert row["run"] == run.run
+    sag = [run.found["beam.deflection"] for run in sweep.runs]
+    assert len(set(sag)) == 4
+    assert min(sag[:2]) > max(sag[2:])
+    assert "4 of 4 runs ended" in sweep_lines(path)
+
+
+def test_a_run_of_a_sweep_is_the_run_of_the_command(swept, tmp_path):
+    folder, path, _ = swept
+    run = Path(read_sweep(path).runs[1].run)
+    words = [sys.executable, "-m", "cqrun", "simulate", str(folder / "beam.yaml"), "-o", f"{E}=4e4", "-o", f"{NU}=0.4"]
+    subprocess.run([*words, "-q", "--out", str(tmp_path)], check=True, stdout=subprocess.DEVNULL)
+    assert_same(run, tmp_path / "beam" / run.name)
+
+
+def test_a_wider_sweep_uses_the_runs_that_are_finished(swept):
+    folder, path, _ = swept
+    before = {run.run: (Path(run.run) / "result.json").stat().st_mtime_ns for run in read_sweep(path).runs}
+    options = SweepOptions([f"{E}=4e4,8e4", f"{NU}=0.2,0.3,0.4"], jobs=2)
+    wider, good = run_sweep(folder / "beam.yaml", [], folder / "out", options, threads=2)
+    assert good
+    assert wider != path
+    runs = [run.run for run in read_sweep(wider).runs]
+    assert len(runs) == 6
+    assert set(before) < set(runs)
+    assert before == {run: (Path(run) / "result.json").stat().st_mtime_ns for run in before}
+
+
+def test_from_python(swept):
+    folder, path, _ = swept
+    found = cqrun.sweep(folder / "beam.yaml", [f"{E}=4e4,8e4", f"{NU}=0.2,0.4"], out=folder / "out", jobs=2)
+    assert [run.found for run in found.runs] == [run.found for run in read_sweep(path).runs]
+
+
+def test_a_wrong_value_is_refused_before_any_run(swept, tmp_path):
+    folder, _, _ = swept
+    options = SweepOptions([f"{NU}=0.3,0.6"])
+    with pytest.raises(SceneError, match=r"at poissons_ratio=0\.6: ") as raised:
+        run_sweep(folder / "beam.yaml", [], tmp_path, options)
+    assert f"-o {NU}=0.6" in str(raised.value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (SweepOptions(["time.duration=0.1"], job="fly"), "--job fly: there is no such job"),
+        (SweepOptions(seeds=0), "--seeds 0: must be at least 1"),
+        (SweepOptions(["time.duration=0.1"], jobs=0), "--jobs 0: must be at least 1"),
+        (SweepOptions(["seed=1"], seeds=2), "-s seed=...: is given twice"),
+    ],
+)
+def test_wrong_options_are_refused(swept, tmp_path, options, message):
+    with pytest.raises(UsageError, match=message):
+        run_sweep(swept[0] / "beam.yaml", [], tmp_path, options)
+
+
+def test_a_failed_run_is_a_row_and_the_command_fails(swept, tmp_path):
+    """A beam that nothing holds leaves the world after 0.2 s."""
+    folder, _, _ = swept
+    words = ["--out", str(tmp_path), "-s", "time.duration=0.1,0.4", "-o", "boundaries.clamp=null"]
+    result = CliRunner().invoke(app, ["sweep", str(folder / "beam.yaml"), *words, "-o", "world.frame=updated"])
+    (path,) = (tmp_path / "beam").glob("sweep-*.json")
+    good, bad = read_sweep(path).runs
+    assert (good.status, bad.status) == ("done", "failed")
+    assert bad.reason
+    assert result.exit_code == 1
+    assert "1 of 2 runs ended" in result.output
+    assert f"failed: {bad.run}: {bad.reason}" in result.output
+
+
+def test_a_stopped_sweep_tells_how_many_are_finished(swept, tmp_path):
+    class Impatient(Listener):
+        def advance(self, done, total, text):
+            self.stop.ask()
+
+    options = SweepOptions([f"{E}=1e4,2e4,3e4"], jobs=1)
+    with pytest.raises(Stopped, match="of 3 runs are finished; the same command continues the others"):
+        run_sweep(swept[0] / "beam.yaml", [], tmp_path, options, reporter=Impatient())
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------------
+
+
+def made(values, found):
+    """Return a sweep of made-up numbers: `values` by axis, `found` by name, one entry per run."""
+    count = len(next(iter(values.values())))
+    runs = [
+        SweptRun(
+            values={path: texts[k] for path, texts in values.items()}, run=f"r{k}", status="done",
+            found={name: numbers[k] for name, numbers in found.items() if numbers[k] is not None},
+        )
+        for k in range(count)
+    ]  # fmt: skip
+    return Sweep(scene="s", job="rest", axes=list(values), found={name: Found(unit="m") for name in found}, runs=runs)
+
+
+KINDS = {
+    "lines": made({"a.E": ["1", "10", "100"], "seed": ["0", "0", "0"]}, {"x": [1.0, 2.0, 4.0], "y": [3.0, None, 1.0]}),
+    "a map": made({"a": ["1", "1", "2", "2"], "b": ["p", "q", "p", "q"]}, {"x": [1.0, 2.0, 3.0, None]}),
+    "parallel": made({"a": ["1", "2"], "b": ["3", "3"], "c": ["p", "q"]}, {"x": [1.0, 2.0], "y": [0.0, 0.0]}),
+    "words": made({"a": ["p", "q"]}, {"x": [1.0, 2.0]}),
+    "one run": made({"a": ["1"]}, {"x": [1.0]}),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_pictures_are_drawn(kind, tmp_path):
+    path = tmp_path / "sweep-1.json"
+    write_study(path, KINDS[kind])
+    (picture,) = draw_sweep(path)
+    assert picture == path.with_suffix(".png")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_sweep_without_numbers_has_no_picture(tmp_path):
+    path = tmp_path / "sweep-1.json"
+    write_study(path, made({"a": ["1", "2"]}, {"x": [None, None]}))
+    data = json.loads(path.read_text()) | {"found": {}}
+    path.write_text(json.dumps(data))
+    assert draw_sweep(path) == []
+
+
+def test_an_unknown_number_is_refused_with_the_known_ones(tmp_path):
+    path = tmp_path / "sweep-1.json"
+    write_study(path, KINDS["a map"])
+    with pytest.raises(UsageError, match="--show z: no run found it; there are x"):
+        draw_sweep(path, ["z"])

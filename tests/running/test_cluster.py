@@ -1,0 +1,146 @@
+"""Runs on a Dask cluster: the same bits as those of processes, also if a worker dies or does not see our files."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from small_beam import Listener, assert_same
+
+from cqrun.errors import MissingExtra, Stopped, UsageError
+from cqrun.jobs.studies.sweep import SweepOptions, run_sweep
+from cqrun.running import cluster
+from cqrun.store.study import read_sweep
+
+distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
+
+BEAM = """
+cqrun: 1
+world: {size: [0.4, 0.3], dx: 0.02, gravity: [0, -9.81]}
+bodies:
+  beam:
+    shape: {box: {corner: [0.02, 0.2], size: [0.2, 0.04]}}
+    particles_per_cell: 4
+    material: {density: 1000, elastic: {neo_hookean: {youngs_modulus: 5.0e4, poissons_ratio: 0.3}}}
+boundaries:
+  clamp: {sticky: {region: {box: {corner: [0, 0], size: [0.04, 0.3]}}}}
+time: {duration: 0.1, control_step: 0.01}
+"""
+E = "bodies.beam.material.elastic.neo_hookean.youngs_modulus"
+POINTS = SweepOptions([f"{E}=3e4:6e4:4"])
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """Return the scene file."""
+    path = tmp_path_factory.mktemp("scene") / "beam.yaml"
+    path.write_text(BEAM)
+    return path
+
+
+@pytest.fixture(scope="module")
+def expected(scene, tmp_path_factory):
+    """Return the runs of processes, by their names."""
+    path, good = run_sweep(scene, [], tmp_path_factory.mktemp("processes"), POINTS, threads=2)
+    assert good
+    return {Path(run.run).name: Path(run.run) for run in read_sweep(path).runs}
+
+
+@pytest.fixture(scope="module")
+def workers():
+    """Return a scheduler with three workers on this machine, each a process of its own."""
+    with distributed.LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=None, memory_limit=0) as found:
+        yield found
+
+
+def on(workers):
+    """Return the place of a cluster."""
+    return workers.scheduler_address.replace("tcp://", "dask://")
+
+
+def assert_as_expected(path, expected):
+    """Fail unless a sweep's runs are those of processes, bit for bit."""
+    runs = [Path(run.run) for run in read_sweep(path).runs]
+    assert {run.name for run in runs} == set(expected)
+    for run in runs:
+        assert_same(run, expected[run.name])
+
+
+def test_a_worker_that_dies_loses_nothing(scene, expected, workers, tmp_path):
+    """The worker is killed while its run is half-way; another worker makes it."""
+    killed = []
+
+    def kill_one():
+        with distributed.Client(workers) as client:
+            for _ in range(400):
+                busy = [w for w, keys in client.processing().items() if keys]
+                if busy and list((tmp_path / "beam").glob("*/run.json")):
+                    pid = client.run(os.getpid, workers=busy[:1])[busy[0]]
+                    os.kill(pid, signal.SIGKILL)
+                    killed.append(pid)
+                    return
+                time.sleep(0.05)
+
+    thread = threading.Thread(target=kill_one)
+    thread.start()
+    path, good = run_sweep(scene, [], tmp_path, replace(POINTS, on=on(workers)), threads=2)
+    thread.join()
+    assert killed
+    assert good
+    assert_as_expected(path, expected)
+    assert not list(tmp_path.glob(".sweep-*"))
+
+
+def test_workers_without_our_files_send_the_runs_back(scene, expected, workers, tmp_path, monkeypatch):
+    """They cannot read the token."""
+    orders = []
+
+    def hidden(*args):
+        orders.append(order(*args))
+        return replace(orders[-1], token="/nowhere")
+
+    order = cluster._order
+    monkeypatch.setattr(cluster, "_order", hidden)
+    path, good = run_sweep(scene, [], tmp_path, replace(POINTS, on=on(workers)), threads=2)
+    assert good
+    assert len(orders) == 4
+    assert_as_expected(path, expected)
+    # a run that came back can be repeated here: its record names the scene's folder
+    again, good = run_sweep(scene, [], tmp_path, POINTS, threads=2)
+    assert (again, good) == (path, True)
+
+
+def test_a_scene_with_files_elsewhere_needs_a_shared_file_system():
+    order = cluster.Order((), (), "", "", "", "/nowhere", "", "", cluster.engine_hash())
+    assert "use a shared file system" in cluster.carry_out(order).message
+
+
+def test_a_worker_with_another_engine_makes_no_run():
+    order = cluster.Order((), (), "", "", "", "/nowhere", "", "", "0" * 12)
+    assert "a worker has another engine" in cluster.carry_out(order).message
+
+
+def test_a_stopped_sweep_stops_its_runs(scene, workers, tmp_path):
+    options = SweepOptions([f"{E}=3e4:6e4:8"], on=on(workers))
+    with pytest.raises(Stopped, match="of 8 runs are finished"):
+        run_sweep(scene, ["time.duration=20"], tmp_path, options, reporter=Listener(stop_after=20))
+    with distributed.Client(workers) as client:
+        assert not any(client.processing().values())
+
+
+def test_places_that_are_none(scene, tmp_path):
+    with pytest.raises(UsageError, match="--on moon: no such place; there are processes, dask, "):
+        run_sweep(scene, [], tmp_path, replace(POINTS, on="moon"))
+    with pytest.raises(UsageError, match=r"--on dask://127\.0\.0\.1:1: no scheduler answers"):
+        run_sweep(scene, [], tmp_path, replace(POINTS, on="dask://127.0.0.1:1"))
+
+
+def test_without_dask_its_extra_is_named(scene, tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with pytest.raises(MissingExtra, match=r"needs distributed.*pip install 'cqrun\[dask\]'"):
+        run_sweep(scene, [], tmp_path, replace(POINTS, on="dask"))
