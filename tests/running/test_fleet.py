@@ -78,7 +78,7 @@ def test_an_error_while_waiting_kills_all_processes(three_runs, tmp_path, monkey
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fleet, "_report_progress", interrupted)
+    monkeypatch.setattr(fleet, "report_progress", interrupted)
     runs = three_runs(WAITS, str(tmp_path))
     with pytest.raises(KeyboardInterrupt):
         run_fleet(runs, 2, "seeds", Listener())
