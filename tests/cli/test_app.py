@@ -20,6 +20,7 @@ NAMES = [
     "codesign",
     "simulate",
     "rest",
+    "sweep",
     "gradcheck",
     "resume",
     "validate",
@@ -74,7 +75,7 @@ def test_there_are_no_other_commands():
     assert [command.__name__ for command in cli.COMMANDS] == NAMES
 
 
-@pytest.mark.parametrize("name", ["sysid", "control", "codesign", "simulate", "rest", "gradcheck"])
+@pytest.mark.parametrize("name", ["sysid", "control", "codesign", "simulate", "rest", "sweep", "gradcheck"])
 def test_jobs_share_their_options(capsys, name):
     out = run(capsys, name, "--help")[1]
     for option in ("-o", "--out", "--fresh", "--threads", "--quiet"):
