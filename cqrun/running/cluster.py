@@ -149,6 +149,12 @@ class _Task:
     future: Any = field(repr=False)
 
 
+def require_place(place: str) -> None:
+    """Raise UsageError if there is no such place for runs."""
+    if place not in (PROCESSES, "dask", "slurm") and not place.startswith("dask://"):
+        raise UsageError(f"--on {place}: no such place; there are {PROCESSES}, dask, dask://HOST:PORT and slurm")
+
+
 def run_on_cluster(
     members: Sequence[Member], place: str, at_once: int, what: str, reporter: Reporter, *, source: Path, out: Path,
     parcel: Parcel | None,
@@ -259,11 +265,9 @@ def _client(place: str, at_once: int) -> Iterator[Any]:
             )
             with cluster, Client(cluster) as client:
                 yield client
-        elif place == "slurm":
+        else:
             with _slurm(at_once) as cluster, Client(cluster) as client:
                 yield client
-        else:
-            raise UsageError(f"--on {place}: no such place; there are {PROCESSES}, dask, dask://HOST:PORT and slurm")
 
 
 def _slurm(at_once: int) -> Any:

@@ -25,7 +25,7 @@ from cqrun.jobs.studies.axes import Point, Sampling, axis_of, points_of
 from cqrun.jobs.studies.quantities import Quantity, quantities_of
 from cqrun.jobs.studies.seeds import INFEASIBLE, command_of, has_ended
 from cqrun.jobs.table import JOBS
-from cqrun.running.cluster import PROCESSES, Parcel, run_on_cluster
+from cqrun.running.cluster import PROCESSES, Parcel, require_place, run_on_cluster
 from cqrun.running.fleet import Member, run_fleet
 from cqrun.running.reporter import Reporter, Silent
 from cqrun.running.runs import data_files, part_files, run_scene, scene_in
@@ -97,6 +97,7 @@ def run_sweep(
     """
     source, out, talk = Path(source), Path(out), reporter or Silent()
     points, n_threads = options.points(), cores(threads)
+    require_place(options.on)
     scene = load_scene(source, overrides)
     job = _job_of(options.job, scene)
     at_once = min(len(points), options.jobs or n_threads)
