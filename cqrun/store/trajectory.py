@@ -7,6 +7,8 @@
     /checksums/x, v, ... (T) u4: CRC-32 of each frame of a field; without them a damaged index reads as zeros
     /VTKHDF: the same data in ParaView's format, as virtual datasets without a copy (vtkhdf.py)
 
+Datasets have the attributes `unit` and `long_name`.
+
 While a trajectory is written, its name is `<name>.part`. It has contiguous datasets of full size, which are made and
 flushed first. Each frame is written in place and flushed, and counted last. So a kill at any moment loses at most that
 frame. On closing, the file is packed (gzip, shuffle) into its final name. `libver` keeps the format readable for VTK's
@@ -38,6 +40,17 @@ if TYPE_CHECKING:
 LIBVER = ("earliest", "v110")
 POSITION, POSITION_TYPE, FIELD_TYPE = "x", "f8", "f4"
 CHUNK = 16384
+MEANINGS = {
+    "time": ("s", "time"),
+    "step": ("1", "number of the control step, or of the point of a path"),
+    "x": ("m", "position"),
+    "v": ("m/s", "velocity"),
+    "J": ("1", "volume divided by that at rest, det F"),
+    "activation": ("1", "activation of the actuators on the particle"),
+    "body": ("1", "number of the body, in the order of the attribute `bodies` of the group"),
+}
+"""Unit and meaning of datasets, by name."""
+
 SPARE = 1 << 15
 """Largest size of a file besides its data [bytes]."""
 
@@ -246,6 +259,10 @@ def _pack(source: h5py.File, target: h5py.File, frames: int) -> None:
             packed[frame] = values = data[frame]
             sums[frame] = checksum(values)
         target[f"checksums/{name}"] = sums
+    for data in (target["time"], target["step"], *particles.values()):
+        unit, meaning = MEANINGS.get(data.name.rpartition("/")[2], ("", ""))
+        if unit:
+            data.attrs["unit"], data.attrs["long_name"] = unit, meaning
     if frames:
         add_vtk_view(target)
 

@@ -74,6 +74,18 @@ def test_packed_for_reading(tmp_path, dim):
         assert not [name for name in names if "seconds" in name or "thread" in name]
 
 
+def test_datasets_name_their_units(tmp_path, dim):
+    with write(tmp_path / "t.h5", dim):
+        pass
+    with h5py.File(tmp_path / "t.h5") as file:
+        found = {name: dict(file[name].attrs) for name in ("time", "step", "particles/x", "particles/v", "particles/F")}
+    assert found["time"] == {"unit": "s", "long_name": "time"}
+    assert found["particles/x"] == {"unit": "m", "long_name": "position"}
+    assert found["particles/v"] == {"unit": "m/s", "long_name": "velocity"}
+    assert found["step"]["unit"] == "1"
+    assert found["particles/F"] == {}  # a field that only this file has
+
+
 def test_view_for_paraview(tmp_path, dim):
     """Check the structure of VTKHDF 2.0 temporal PolyData with one vertex per particle."""
     write(tmp_path / "t.h5", dim).close()
