@@ -6,7 +6,7 @@ vertical scale for each axis and each number that was found, and a line through 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
-from cqrun.figures.style import AMOUNT_MAP, COLOURS, GREY, PALE, new_figure, save, styled
+from cqrun.figures.style import AMOUNT_MAP, COLOURS, GREY, PALE, log_ticks, new_figure, save, styled
 from cqrun.plugin.contract import Array
 from cqrun.scene.document import read
 from cqrun.scene.keypath import shortest
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 MOST_SHOWN = 4
 """Numbers in a picture, if none is asked for."""
+
+BEHIND = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+"""The box behind a text that lies on lines."""
 
 EVEN = 1.02
 """Values whose steps differ by less than this factor are evenly spaced."""
@@ -92,7 +95,7 @@ def _label(sweep: Sweep, name: str) -> str:
 
 def _lines(sweep: Sweep, names: Sequence[str], path: str) -> Figure:
     """Draw each number against the axis; several runs at a value (seeds) are dots, and their mean is the line."""
-    figure = new_figure(3.6 * min(2, len(names)), 2.6 * (-(-len(names) // 2)))
+    figure = new_figure(4.4 * min(2, len(names)), 2.6 * (-(-len(names) // 2)))
     x = _numbers(sweep.runs, path)
     assert x is not None
     for k, (name, axes) in enumerate(zip(names, _panels(figure, len(names)), strict=True)):
@@ -103,6 +106,7 @@ def _lines(sweep: Sweep, names: Sequence[str], path: str) -> Figure:
         axes.plot(x[seen], y[seen], "o", color=COLOURS[k % len(COLOURS)], markersize=3.5)
         if _logarithmic(x):
             axes.set_xscale("log")
+            log_ticks(axes.xaxis, float(x.min()), float(x.max()))
         axes.set_xlabel(shortest([path])[0])
         axes.set_ylabel(_label(sweep, name))
     return figure
@@ -163,7 +167,7 @@ def _parallel(sweep: Sweep, names: Sequence[str], axes: Sequence[str]) -> Figure
     for k, (_, _, marks) in enumerate(scales):
         panel.axvline(k, color=GREY, linewidth=0.8)
         for height, text in marks:
-            panel.text(k + 0.03, height, text, size=7, va="center")
+            panel.text(k + 0.03, height, text, size=7, va="center", bbox=BEHIND)
     panel.grid(False)
     panel.set_xticks(range(len(scales)), [title for title, _, _ in scales])
     panel.set_yticks([])
@@ -179,16 +183,15 @@ def _scale(runs: Sequence[SweptRun], path: str) -> tuple[Array, Marks]:
     """Return the heights of an axis's values from 0 to 1 (R,), and its marks: heights and texts."""
     x = _numbers(runs, path)
     if x is not None:
-        return _ends(np.log(x) if _logarithmic(x) else x, np.exp if _logarithmic(x) else None)
+        return _ends(np.log(x), np.exp) if _logarithmic(x) else _ends(x)
     values = [*dict.fromkeys(run.values[path] for run in runs)]
     places = {value: k / max(1, len(values) - 1) for k, value in enumerate(values)}
     return np.array([places[run.values[path]] for run in runs]), [(height, text) for text, height in places.items()]
 
 
-def _ends(y: Array, shown: object = None) -> tuple[Array, Marks]:
-    """Return heights between the smallest and the largest number, and marks at both ends."""
+def _ends(y: Array, back: Callable[[float], float] = float) -> tuple[Array, Marks]:
+    """Return heights between the smallest and the largest number, and marks at both ends: `back` of the number."""
     seen = y[np.isfinite(y)]
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)
-    back = np.exp if shown is np.exp else float
     marks = [(0.0, f"{back(low):.3g}"), (1.0, f"{back(high):.3g}")] if high > low else [(0.5, f"{back(low):.3g}")]
     return ((y - low) / (high - low) if high > low else np.full(len(y), 0.5)), marks

@@ -27,14 +27,14 @@ from cqrun.fingerprint import engine_hash
 from cqrun.running.fleet import Member, report_progress
 from cqrun.running.reporter import Reporter
 from cqrun.store.atomic import write_json, write_text
-from cqrun.store.folder import RECORD
+from cqrun.store.folder import RECORD, make_below
 from cqrun.store.lock import is_locked
 
 POLL_INTERVAL = 0.5
 """Time between two looks at tasks, processes and locks [s]."""
 
 DEATHS = 5
-"""Workers that may die with a run before it counts as failed: a run that kills its workers would go round for ever."""
+"""Workers that may die with a run before it counts as failed, on a cluster that is made here."""
 
 PROCESSES = "processes"
 """The place of runs on this machine."""
@@ -227,19 +227,30 @@ def _take(task: _Task, source: Path) -> None:
         error = task.future.exception() if task.future.status == "error" else None
         name = type(error).__name__
         dead = name == "KilledWorker"
-        task.member.failure = f"{DEATHS} workers died with it" if dead else f"{name}: {error}" if error else "cancelled"
+        task.member.failure = (
+            "its workers died, one after another" if dead else f"{name}: {error}" if error else "cancelled"
+        )
         return
     outcome: Outcome = task.future.result()
     if outcome.archive:
-        task.member.run.mkdir(parents=True, exist_ok=True)
-        with tarfile.open(fileobj=io.BytesIO(outcome.archive), mode="r:gz") as archive:
-            archive.extractall(task.member.run, filter="data")
-        record = json.loads((task.member.run / RECORD).read_text(encoding="utf-8"))
-        write_json(task.member.run / RECORD, record | {"base": str(source.resolve().parent)})
+        _unpack(outcome.archive, task.member.run, source)
     if outcome.code < 0:
         task.member.failure = f"was killed ({signal.Signals(-outcome.code).name}); the same command goes on with it"
     elif outcome.code > 0:
         task.member.failure = outcome.message or f"ended with exit code {outcome.code}"
+
+
+def _unpack(content: bytes, run: Path, source: Path) -> None:
+    """Put a run that came back in its place, at once and not file by file; its record names the scene's folder here."""
+    with tempfile.TemporaryDirectory(prefix=".sweep-", dir=make_below(run.parent)) as name:
+        folder = Path(name) / run.name
+        with tarfile.open(fileobj=io.BytesIO(content), mode="r:gz") as archive:
+            archive.extractall(folder, filter="data")
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        write_json(folder / RECORD, record | {"base": str(source.resolve().parent)})
+        if run.exists():
+            run.rename(Path(name) / "before")
+        folder.rename(run)
 
 
 @contextmanager

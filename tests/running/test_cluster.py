@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from small_beam import Listener, assert_same
+from tiny_beam import BEAM, E
 
 from cqrun.errors import MissingExtra, Stopped, UsageError
 from cqrun.jobs.studies.sweep import SweepOptions, run_sweep
@@ -19,19 +20,6 @@ from cqrun.store.study import read_sweep
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
 
-BEAM = """
-cqrun: 1
-world: {size: [0.4, 0.3], dx: 0.02, gravity: [0, -9.81]}
-bodies:
-  beam:
-    shape: {box: {corner: [0.02, 0.2], size: [0.2, 0.04]}}
-    particles_per_cell: 4
-    material: {density: 1000, elastic: {neo_hookean: {youngs_modulus: 5.0e4, poissons_ratio: 0.3}}}
-boundaries:
-  clamp: {sticky: {region: {box: {corner: [0, 0], size: [0.04, 0.3]}}}}
-time: {duration: 0.1, control_step: 0.01}
-"""
-E = "bodies.beam.material.elastic.neo_hookean.youngs_modulus"
 POINTS = SweepOptions([f"{E}=3e4:6e4:4"])
 
 
