@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.observers.matter import Matter
+from cqrun.actuators.cable import Cable
+from cqrun.forces.spring import Spring
+from cqrun.observers.matter import Matter, Route
+from cqrun.plugin.registry import plugins
 
 STEP = 1e-30
 """Size of the imaginary part; it gives an exact derivative."""
@@ -34,7 +37,32 @@ def made_matter(dim: int) -> Matter:
         x, np.ones(len(x)), size, CONTROL_STEP, N_CONTROLS, bodies, {"arm": groups, "ball": {}}, select,
         {"target": dim, "pace": 1}, N_ACTUATORS, design=1.5 + np.linspace(0.0, 1.0, 4 * len(x)).reshape(4, -1),
         recorded=lambda file, units, marker: (np.linspace(0.0, 0.4, 9), seen), neutral=np.array([0.0, 1.0, 0.5]),
+        measures=made_measures(dim), spacing={"arm": 0.1, "ball": 0.05}, routes=made_routes(dim),
+        n_parts=N_ACTUATORS + 1,
     )  # fmt: skip
+
+
+def made_routes(dim: int) -> dict[str, Route]:
+    """Return a cable whose length is set, one whose force is set, and a spring, along particles of the arm."""
+    line = [[0.2] * dim, [0.5] * dim]
+    cable, weight = Cable(body="arm", route=line, stiffness=2.0), Cable(body="arm", route=line, tension=2.0)
+    spring = Spring(body="arm", route=line, stiffness=2.0)
+    along = np.array([0, 3, 5, 1])
+    return {
+        "cable": Route(along, 1, cable, activated=True), "weight": Route(along[:2], 2, weight, activated=True),
+        "spring": Route(along[1:], N_ACTUATORS, spring, activated=False),
+    }  # fmt: skip
+
+
+def made_measures(dim: int) -> dict[str, Any]:
+    """Return measured quantities whose values are exact for complex numbers."""
+    return {
+        "tip": plugins("measure")["displacement"](body="arm", group="tip"),
+        "gap": plugins("measure")["distance"](body="arm", to="ball"),
+        "cable": plugins("measure")["cable_tension"](cable="weight"),
+        "held": plugins("measure")["reaction"](boundary="clamp"),
+        "energy": plugins("measure")["kinetic_energy"](body="ball"),
+    }
 
 
 def box_around_left(dim: int) -> dict[str, Any]:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, made_matter, mismatch, moved, slope
 
-from cqrun.objectives.term import Track, TrackBar
+from cqrun.observers.track import Track, TrackBar
 
-FIELDS = ("x", "v", "C", "F", "activation", "design", "held")
+FIELDS = ("x", "v", "C", "F", "activation", "design", "held", "strength", "rest_length")
 
 
 def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
@@ -18,7 +18,10 @@ def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
     goals = {"target": rng.normal(size=dim)}
     activation, design = rng.normal(size=(N_CONTROLS, N_ACTUATORS)), rng.normal(size=(4, made_matter(dim).n_particles))
     motion = 0.3 * draw(dim), draw(dim), draw(dim, dim), draw(dim, dim)
-    return Track(*motion, activation, goals, CONTROL_STEP, 2.0 + 0.1 * design, a_reaction(dim, rng))
+    strength, rest = 2.0 + rng.uniform(size=N_ACTUATORS + 1), 1.0 + 0.2 * rng.uniform(size=N_ACTUATORS + 1)
+    return Track(
+        *motion, activation, goals, CONTROL_STEP, 2.0 + 0.1 * design, a_reaction(dim, rng), strength, rest
+    )  # fmt: skip
 
 
 def a_reaction(dim: int, rng: np.random.Generator) -> dict[str, np.ndarray]:

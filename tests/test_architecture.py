@@ -22,7 +22,8 @@ FLOORS = (
     {"characters", "disk", "errors", "explain", "fingerprint", "memory", "state", "units", "version"}
     | {"numerics", "plugin"},
     {"materials", "actuators", "forces", "boundaries", "loads"},
-    {"engine", "geometry", "observers", "controllers", "objectives", "measurements", "design", "optimizers"},
+    {"geometry", "observers", "controllers", "objectives", "measures", "measurements", "optimizers"}
+    | {"engine", "design"},
     {"scene", "store"},
     {"build"},
     {"running"},

@@ -131,6 +131,28 @@ class Cable(Actuator):
         """Return the cotangent of x (r, D)."""
         return route_length_vjp(x, bar)
 
+    def pull(self, length: Array, activation: Array, strength: float, rest: float) -> Array:
+        """Return the tension [N] at each moment (T,), for the length and the activation then (T,)."""
+        if self.stiffness is None:
+            return np.asarray(activation * strength)
+        slack = length - np.maximum(activation, 0.0) * rest
+        return np.asarray(strength * np.maximum(slack, 0.0))
+
+    def pull_vjp(
+        self, length: Array, activation: Array, strength: float, rest: float, bar: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the cotangents of length, activation, strength and rest length at each moment, all (T,).
+
+        The derivatives at the kinks are those of the kernel: of a taut cable, and of an activation above 0.
+        """
+        if self.stiffness is None:
+            return 0.0 * bar, strength * bar, activation * bar, 0.0 * bar
+        reeled_out = np.maximum(activation, 0.0)
+        slack = length - reeled_out * rest
+        taut = np.where(slack >= 0.0, strength * bar, 0.0)
+        by_activation = np.where(activation >= 0.0, -rest * taut, 0.0)
+        return taut, by_activation, np.maximum(slack, 0.0) * bar, -reeled_out * taut
+
     def stiffness_at_nodes(self, strength: float, x: Array) -> float:
         """Return the stiffness at a node between two segments [N/m]: of stretch, or against turning under tension.
 

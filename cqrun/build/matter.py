@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from cqrun.build.model import Built
-from cqrun.observers.matter import Matter
+from cqrun.observers.matter import Matter, Route
 from cqrun.plugin.contract import Array
 from cqrun.store.recordings import marker_path
 
@@ -32,4 +32,18 @@ def matter_of(built: Built, starts: Mapping[str, Array]) -> Matter:
         regions=tuple(scene.regions),
         neutral=built.assembly.actuation.neutral,
         spacing=particles.spacing,
+        n_parts=len(built.assembly.actuation.every),
+        routes=_routes(built),
+        measures={name: chosen.value for name, chosen in scene.measure.items()},  # type: ignore[misc]
     )
+
+
+def _routes(built: Built) -> dict[str, Route]:
+    """Return the cables and springs of a scene, by name."""
+    parts = built.assembly.actuation.every
+    activated = len(built.assembly.actuation.parts)
+    return {
+        part.name: Route(part.model.particles, k, part.spec, k < activated)
+        for k, part in enumerate(parts)
+        if hasattr(part.spec, "pull")
+    }

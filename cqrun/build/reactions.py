@@ -15,11 +15,12 @@ from cqrun.scene.schema import Scene
 
 
 def boundaries_by_user(scene: Scene) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield each term and each recording that needs boundaries: its key path, and their names."""
+    """Yield each term, measured quantity and recording that needs boundaries: its key path, and their names."""
     users: dict[str, Any] = {f"objective.{name}.{c.name}": c.value for name, c in scene.objective.items()}
     users |= {f"constraints.{name}.of.{c.of.name}": c.of.value for name, c in scene.constraints.items()}
     for name, recording in scene.recordings.items():
         users[f"data.recordings.{name}.{recording.measurement.name}"] = recording.measurement
+    users |= {f"measure.{name}.{c.name}": c.value for name, c in scene.measure.items()}
     for path, user in users.items():
         if user.boundaries:
             yield path, user.boundaries

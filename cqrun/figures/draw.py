@@ -13,6 +13,7 @@ from cqrun.figures.compare import draw_comparison
 from cqrun.figures.convergence import draw_convergence
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.losses import LOSS
+from cqrun.figures.measured import draw_measured, has_measured
 from cqrun.figures.overview import draw_overview
 from cqrun.figures.path import draw_path, has_path
 from cqrun.figures.reactions import draw_reactions, has_reactions
@@ -40,6 +41,7 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
     convergence   loss and unknowns against the iteration
     tracks_NAME   a recording beside the model
     path          displacements and reactions along a path of equilibria
+    measured      quantities that the scene measures, over time
     reactions     force and moment of boundaries over time
     bodies        first, middle and last frame of the trajectory
     design        designed quantities of the material, on the body
@@ -127,6 +129,11 @@ def _reactions(run: RunData) -> Iterator[tuple[str, Figure]]:
         yield "reactions", draw_reactions(run)
 
 
+def _measured(run: RunData) -> Iterator[tuple[str, Figure]]:
+    if has_measured(run) and (figure := draw_measured(run)) is not None:
+        yield "measured", figure
+
+
 def _overview(run: RunData) -> Iterator[tuple[str, Figure]]:
     if run.succeeded and (run.history or run.scene.predicts_only):
         yield "overview", draw_overview(run)
@@ -141,6 +148,7 @@ PICTURES: dict[str, Callable[[RunData], Iterator[tuple[str, Figure]]]] = {
     "overview": _overview,
     "path": _path,
     "reactions": _reactions,
+    "measured": _measured,
 }
 """Pictures by the names that jobs give them; each yields a name and a picture if a run has what it shows."""
 

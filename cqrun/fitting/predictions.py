@@ -3,6 +3,7 @@
 tracks.csv      recorded and modelled markers, for the plots; other measurements have their own table
 trajectory.h5   the first fitted case, or the first case that can be predicted, with the values among its attributes;
                 at rest, frame 0 is the rest shape, and one frame per point follows
+measurements.csv  the quantities that the scene measures, in the same case
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from cqrun.errors import NoRestError, RolloutError
 from cqrun.fitting.case import Case
 from cqrun.observers.fracture import Fracture
 from cqrun.plugin.contract import Array
+from cqrun.running.measuring import Measuring, write_measured
 from cqrun.running.observables import fracture_of
 from cqrun.running.trajectories import as_found
 from cqrun.state import State
@@ -53,7 +55,9 @@ def write_predictions(
     if first is not None:
         interrupt()
         provenance = as_found(values) | first.comparisons[0].wanted()
-        result.findings += first.runner.write(run.path / "trajectory.h5", first.own_values(values), threads, provenance)
+        own, measuring = first.own_values(values), Measuring(first.built, first.own_values(values))
+        result.findings += first.runner.write(run.path / "trajectory.h5", own, threads, provenance, measuring)
+        write_measured(run.path, measuring, result)
     return records
 
 

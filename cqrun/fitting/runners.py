@@ -20,7 +20,9 @@ from cqrun.explain import listed
 from cqrun.plugin.contract import Array
 from cqrun.running.cost import about
 from cqrun.running.drift import drift_findings
+from cqrun.running.measuring import Measuring
 from cqrun.running.passing import Passing
+from cqrun.running.reaction_table import with_reactions
 from cqrun.running.rest_table import rest_frames, write_frame
 from cqrun.running.side_by_side import Effort
 from cqrun.running.trajectories import write_trajectory
@@ -63,8 +65,10 @@ class Runner(Protocol):
         """
         ...
 
-    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> list[str]:
-        """Write a trajectory; return sentences about what is notable in it."""
+    def write(
+        self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any], measuring: Measuring
+    ) -> list[str]:
+        """Write a trajectory with measured quantities; return sentences about what is notable in it."""
         ...
 
 
@@ -97,17 +101,20 @@ class InMotion:
         _, bar = rollout.gradient(lambda records, final: LossBar(loss_bar(records)))
         return built.assembly.gradient(values, bar), Effort.of(rollout)
 
-    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> list[str]:
+    def write(
+        self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any], measuring: Measuring
+    ) -> list[str]:
         """Write the trajectory; return what is notable of the substep, and of positions that drift."""
-        rollout = make_rollout(self.built.model, self.built.assembly.inputs(values), threads=threads)
-        last, passing = rollout.inputs.state, Passing(self.built)
+        built = with_reactions(self.built) if measuring.late else self.built
+        rollout = make_rollout(built.model, built.assembly.inputs(values), threads=threads)
+        last, passing = rollout.inputs.state, Passing(built)
 
         def keep(control: int, state: State) -> None:
             nonlocal last
             last = state
             passing.at_control(control, state)
 
-        write_trajectory(path, self.built, rollout, provenance=provenance, progress=keep)
+        write_trajectory(path, built, rollout, provenance=provenance, progress=keep, measuring=measuring)
         return [*passing.findings(), *rollout.remarks(), *drift_findings(self.built, last)]
 
 
@@ -153,14 +160,22 @@ class AtRest:
                 total[key] += part
         return total, Effort()
 
-    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> list[str]:
+    def write(
+        self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any], measuring: Measuring
+    ) -> list[str]:
         """Write a trajectory with the rest shape and a frame for every point."""
+        inputs = [inputs_of(self.built, point, values) for point in self.points]
+        neutral = self.built.assembly.actuation.neutral
         with rest_frames(path, self.built, len(self.points), provenance) as writer:
 
             def note(number: int, state: State) -> None:
                 write_frame(writer, state, number)
+                here = inputs[max(number - 1, 0)]
+                measuring.look(state, here, here.activation[-1] if number else neutral)
 
-            self._find(values, threads, note)
+            records = self._find(values, threads, note)[1]
+            if (measured := measuring.end(records.held, at_rest=True)) is not None:
+                writer.add(measured)
         return []
 
     def path(self, values: Values, threads: int = 1, near: Records | None = None) -> RestPath:

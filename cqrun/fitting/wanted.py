@@ -14,8 +14,9 @@ from cqrun.engine.model import Records
 from cqrun.errors import Problem, SceneError
 from cqrun.fitting.case import Case
 from cqrun.measurements.comparison import Comparison
-from cqrun.objectives.term import Objective, Track
+from cqrun.objectives.term import Objective
 from cqrun.observers.matter import Matter, Unfit
+from cqrun.observers.track import Track
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
@@ -47,7 +48,7 @@ def _no_distances(scene: Scene, terms: Mapping[str, Any], track: Track, objectiv
     """Yield problems of terms whose smallest value is not 0, or that do not depend on the motion only."""
     for name, term in terms.items():
         bar = objective.values_vjp(track, {name: 1.0})
-        if bar.activation is not None or bar.design is not None:
+        if any(part is not None for part in (bar.activation, bar.design, bar.strength, bar.rest_length)):
             message = "sysid takes only terms of the motion; `cqrun control` and `cqrun codesign` also take this one"
             yield _problem(scene, name, message)
         elif term.sense < 0 or term.least != 0 or term.weight <= 0:
@@ -69,7 +70,8 @@ class Wanted(Comparison):
         """Return the records in the form that the terms take."""
         nothing, matter = np.zeros((self.matter.n_controls, self.matter.n_actuators)), self.matter
         x, v, C, F = records
-        return Track(x, v, C, F, nothing, self.goals, matter.control_step, matter.design, records.held)
+        parts = np.zeros(matter.n_parts)  # terms of strengths are refused
+        return Track(x, v, C, F, nothing, self.goals, matter.control_step, matter.design, records.held, parts, parts)
 
     def wanted(self) -> dict[str, Any]:
         """Return the goal positions [m] for the attributes of a trajectory."""

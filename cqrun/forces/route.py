@@ -10,7 +10,7 @@ first and its last particle.
 from __future__ import annotations
 
 import itertools
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -23,6 +23,18 @@ from cqrun.plugin.contract import Array
 from cqrun.state import X
 
 Point = Annotated[list[float], Field(min_length=2, max_length=3)]
+
+
+class Pulling(Protocol):
+    """What pulls along a route: the law of its tension, outside kernels."""
+
+    def pull(self, length: Array, activation: Array, strength: float, rest: float) -> Array:
+        """Return the tension [N] at each moment (T,), for the length and the activation then (T,)."""
+
+    def pull_vjp(
+        self, length: Array, activation: Array, strength: float, rest: float, bar: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the cotangents of length, activation, strength and rest length at each moment, all (T,)."""
 
 
 # --- in a scene --------------------------------------------------------------------------------------------

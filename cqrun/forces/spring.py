@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 from pydantic import Field
 
 from cqrun.explain import Loc
@@ -74,6 +75,16 @@ class Spring(ParticleForce):
     def rest_length_vjp(self, x: Array, bar: float) -> Array:
         """Return the cotangent of x (r, D)."""
         return route_length_vjp(x, bar)
+
+    def pull(self, length: Array, activation: Array, strength: float, rest: float) -> Array:
+        """Return the tension [N] at each moment (T,), for the length then (T,)."""
+        return np.asarray(strength * (length - rest))
+
+    def pull_vjp(
+        self, length: Array, activation: Array, strength: float, rest: float, bar: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the cotangents of length, activation, strength and rest length at each moment, all (T,)."""
+        return strength * bar, 0.0 * bar, (length - rest) * bar, -strength * bar
 
     def stiffness_at_nodes(self, strength: float, x: Array) -> float:
         """Return the stiffness at a node between two segments of the spring's stiffness [N/m]."""

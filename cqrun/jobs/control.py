@@ -26,6 +26,7 @@ from cqrun.running.bodies import report_bodies
 from cqrun.running.cost import about
 from cqrun.running.gradient_memory import gradient_plan, gradients_at_once
 from cqrun.running.kernels import compile_kernels
+from cqrun.running.measuring import measured_lines
 from cqrun.running.reporter import Reporter
 from cqrun.running.runs import build_and_warn, optimizer_of
 from cqrun.running.tables import number, table
@@ -135,6 +136,7 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
             design = [(path, _range(u.initial), _range(u.value), _ends(u)) for path, u in result.unknowns.items()]
             yield from table(("unknown", "before", "learned", "at its bounds"), design)
             yield from result.how_found()
+        yield from measured_lines(result.measured)
 
 
 NEEDS = (
@@ -144,11 +146,11 @@ NEEDS = (
 )
 DESIGN = Need("unknowns", "say what of the design may change, such as a material's `youngs_modulus: {bounds: [...]}`")
 CONTROL = Learning(
-    "control", LearnedResult, needs=NEEDS, pictures=("convergence", "bodies", "overview"), extensible=True
+    "control", LearnedResult, needs=NEEDS, pictures=("convergence", "bodies", "measured", "overview"), extensible=True
 )
 CODESIGN = Learning(
     "codesign", LearnedResult, needs=(*NEEDS, DESIGN),
-    pictures=("convergence", "bodies", "design", "shape", "overview"), extensible=True,
+    pictures=("convergence", "bodies", "design", "shape", "measured", "overview"), extensible=True,
 )  # fmt: skip
 run_control, run_codesign = CONTROL.run, CODESIGN.run
 

@@ -1,5 +1,6 @@
 """`cqrun rest`: find where a scene comes to rest, at one point or along a path of loads and activations; no time.
 
+measurements.csv  the quantities that the scene measures, one row per point (store/measured.py)
 rest.csv          one row per point: values of the path, how it was found, places of bodies and groups, reactions
 trajectory.h5     x, v and J of every particle: frame 0 is the rest shape, then one frame per point
 result.json       every point, findings
@@ -28,6 +29,7 @@ from cqrun.engine.statics.path import Point, RestPath
 from cqrun.errors import Problem, SceneError, StopAsked
 from cqrun.jobs.job import NO_FILES, Job
 from cqrun.running.bodies import report_bodies, resolved_lines
+from cqrun.running.measuring import Measuring, measured_lines, write_measured
 from cqrun.running.passing import Passing
 from cqrun.running.reporter import Reporter
 from cqrun.running.rest_table import RestTable, rest_frames, write_frame
@@ -92,8 +94,10 @@ class RestJob(Job[Resting, RestResult]):
         path = RestPath(built.model, inputs, threads=prepared.threads, tolerance=TOLERANCE, judge=True)
         found: list[RestPoint] = []
         rows, passing = RestTable(built, points), Passing(built)
+        measuring, neutral = Measuring(built), built.assembly.actuation.neutral
         with rest_frames(run.path / "trajectory.h5", built, len(points)) as writer:
             write_frame(writer, path.start.state(path.rest_shape), 0)
+            measuring.look(path.start.state(path.rest_shape), inputs[0], neutral)
 
             def observe(k: int, here: Equilibrium, point: Point) -> None:
                 facts = _facts(point)
@@ -103,24 +107,29 @@ class RestJob(Job[Resting, RestResult]):
                     rows.add(here, point.rest.u, facts)
                     passing.look(f"point {k + 1}", here.state(point.rest.u))
                     write_frame(writer, here.state(point.rest.u), k + 1)
+                    measuring.look(here.state(point.rest.u), inputs[k], inputs[k].activation[-1])
                 rows.save(run.path / "rest.csv")
                 talk.advance(k + 1, len(points), f"point {k + 1} of {len(points)}, {point.products} products")
 
             try:
-                path.run(observe, lambda: talk.stop.asked, lambda k: _known(run.path, k))
+                records = path.run(observe, lambda: talk.stop.asked, lambda k: _known(run.path, k))
             except StopAsked:
                 writer.abandon()
                 message = f"stopped after {len(found)} of {len(points)} points"
                 run.finish("stopped", message)
                 raise talk.stop.stopped(f"{message}; `cqrun resume {run.path}` goes on") from None
+            measured = measuring.end(records.held, at_rest=True)
             if not found[-1].converged:
                 writer.abandon()
+            elif measured is not None:
+                writer.add(measured)
         unloaded = path.start.smallest_eigenvalue(path.rest_shape)
-        self._end(run, built, found, [*passing.findings(), *_findings(found, unloaded)], talk)
+        self._end(run, built, found, [*passing.findings(), *_findings(found, unloaded)], measuring, talk)
 
     def _end(
-        self, run: RunDirectory, built: Built, found: list[RestPoint], findings: list[str], talk: Reporter
-    ) -> None:
+        self, run: RunDirectory, built: Built, found: list[RestPoint], findings: list[str], measuring: Measuring,
+        talk: Reporter,
+    ) -> None:  # fmt: skip
         """Write the result."""
         lost = None if found[-1].converged else len(found)
         message = f"{len(found)} point{'s' if len(found) > 1 else ''} at rest" if lost is None else _lost(found)
@@ -128,9 +137,11 @@ class RestJob(Job[Resting, RestResult]):
         for sentence in findings:
             talk.warn(sentence)
             run.log(sentence)
-        write_result(run.path, RestResult(
-            status=status, message=message, points=found, findings=findings, thinnest=thinnest_parts(built),
-        ))  # fmt: skip
+        result = RestResult(
+            status=status, message=message, points=found, findings=findings, thinnest=thinnest_parts(built)
+        )
+        write_measured(run.path, measuring, result)
+        write_result(run.path, result)
         if lost is None:
             delete_points(run.path)
         run.finish(status, message)
@@ -145,6 +156,7 @@ class RestJob(Job[Resting, RestResult]):
             (str(k), *(number(p.values[key]) for key in keys), f"{p.residual:.1e}", str(p.steps), str(p.products),
              "-" if p.smallest is None else f"{p.smallest:.2e}") for k, p in enumerate(result.points, start=1)
         ])  # fmt: skip
+        yield from measured_lines(result.measured)
         yield from resolved_lines(result.thinnest)
         yield from (f"note: {sentence}" for sentence in result.findings)
 
@@ -154,7 +166,7 @@ class RestJob(Job[Resting, RestResult]):
         return "goes on after the last point"
 
 
-REST = RestJob("rest", RestResult, pictures=("bodies", "path"))
+REST = RestJob("rest", RestResult, pictures=("bodies", "path", "measured"))
 
 
 def require_no_time(scene: Scene) -> None:
@@ -181,6 +193,9 @@ def _needs_time(scene: Scene) -> Iterator[tuple[str, str]]:
 
 def _idle(scene: Scene) -> Iterator[tuple[str, str]]:
     """Yield what the scene says about motion, and has no effect at rest."""
+    for name, measure in scene.measure.items():
+        if measure.value.needs_time:  # type: ignore[attr-defined]
+            yield f"measure.{name}.{measure.name}", "is 0 at rest, where nothing moves"
     for name, body in scene.bodies.items():
         for key in ("velocity", "spin"):
             if any(getattr(body, key)):

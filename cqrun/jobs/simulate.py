@@ -2,6 +2,7 @@
 
 trajectory.h5     x, v and J of every particle, at most 300 frames
 observables.csv   one row per control step (observables.py)
+measurements.csv  the quantities that the scene measures, one row per control step (store/measured.py)
 reactions.csv     force and moment of every boundary for each control step, in the reference frame (reaction_table.py)
 result.json       final positions and extreme values of the bodies, findings, the objective's terms
 controller.npz    the controller, if there is one, and activation.csv the activations of the actuators
@@ -35,6 +36,7 @@ from cqrun.running.bodies import report_bodies, resolved_lines
 from cqrun.running.cost import about
 from cqrun.running.drift import drift_findings
 from cqrun.running.kernels import compile_kernels
+from cqrun.running.measuring import Measuring, measured_lines, write_measured
 from cqrun.running.observables import Observables
 from cqrun.running.passing import Passing
 from cqrun.running.reaction_table import summary_of, with_reactions, write_reaction_table
@@ -101,6 +103,7 @@ class Simulate(Job[Simulation, SimulateResult]):
         lasts = about(model, each="in all")
         talk.phase(f"simulating {model.layout.n_particles} particles, {model.n_steps} substeps, {lasts}")
         reached, last, passing = 0.0, rollout.inputs.state, Passing(built)
+        measuring = Measuring(built, prepared.values)
         with Observables(run.path / "observables.csv", built, rollout.inputs) as watch:
 
             def observe(control: int, state: State) -> None:
@@ -114,11 +117,14 @@ class Simulate(Job[Simulation, SimulateResult]):
             path = run.path / "trajectory.h5"
             try:
                 records, complete = write_trajectory(
-                    path, built, rollout, should_stop=lambda: talk.stop.asked, progress=observe, provenance=provenance
-                )
+                    path, built, rollout, should_stop=lambda: talk.stop.asked, progress=observe, measuring=measuring,
+                    provenance=provenance,
+                )  # fmt: skip
             except RolloutError as error:
                 result = _result(built, watch, "failed", str(error), reached)
                 result.findings += passing.findings()
+                measuring.end({})
+                write_measured(run.path, measuring, result)
                 for sentence in result.findings:
                     talk.warn(sentence)
                     run.log(sentence)
@@ -140,6 +146,7 @@ class Simulate(Job[Simulation, SimulateResult]):
             result.boundaries = summary_of(records.held, model.dim)
             reactions = Reactions.of(records.held, model.dim, time.control_step)
             write_reaction_table(run.path / "reactions.csv", reactions)
+        write_measured(run.path, measuring, result)
         result.findings += [*passing.findings(), *rollout.remarks(), *drift_findings(built, last)]
         for sentence in result.findings:
             talk.warn(sentence)
@@ -159,6 +166,7 @@ class Simulate(Job[Simulation, SimulateResult]):
         ]  # fmt: skip
         yield from table(head, rows)
         yield from resolved_lines(result.thinnest)
+        yield from measured_lines(result.measured)
         if result.boundaries:
             forces = [
                 (name, ", ".join(map(number, force.mean)), number(force.largest))
@@ -179,7 +187,7 @@ class Simulate(Job[Simulation, SimulateResult]):
 
 
 KEPT = {FILE: "the controller", IDENTIFIED: "the result"}
-SIMULATE = Simulate("simulate", SimulateResult, pictures=("bodies", "reactions"), keeps=KEPT)
+SIMULATE = Simulate("simulate", SimulateResult, pictures=("bodies", "measured", "reactions"), keeps=KEPT)
 
 
 def run_simulate(

@@ -23,6 +23,7 @@ from cqrun.running.bodies import report_bodies, resolved_lines
 from cqrun.running.cost import about
 from cqrun.running.gradient_memory import gradient_plan
 from cqrun.running.kernels import compile_kernels
+from cqrun.running.measuring import measured_lines
 from cqrun.running.reporter import Reporter
 from cqrun.running.runs import Progress, build_and_warn, kept_scene, optimizer_of
 from cqrun.running.tables import number, table
@@ -139,6 +140,7 @@ class Sysid(Job[Identification, SysidResult]):
         yield from _held(result)
         yield ""
         yield from _errors(scene, result)
+        yield from measured_lines(result.measured)
         yield from resolved_lines(result.thinnest)
         yield from (f"note: {sentence}" for sentence in result.findings)
 
@@ -154,7 +156,7 @@ SYSID = Sysid(
         ),
         Need("data", "say what it is fitted to, or give an `objective` to minimise", instead="objective"),
     ),
-    pictures=("convergence", "tracks", "bodies", "overview"),
+    pictures=("convergence", "tracks", "bodies", "measured", "overview"),
     extensible=True,
 )
 run_sysid = SYSID.run

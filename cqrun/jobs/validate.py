@@ -9,7 +9,8 @@ from typing import Any
 
 from cqrun.build.check_grid import nearest_nodes
 from cqrun.build.load_path import points_of
-from cqrun.build.model import Built, build
+from cqrun.build.measures import bound_measures
+from cqrun.build.model import Built
 from cqrun.build.thickness import thinnest_parts
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import ConditionModel
@@ -29,7 +30,7 @@ from cqrun.running.bodies import lies, made_of, resolved, rounding_of
 from cqrun.running.cost import NANOSECONDS, duration, forward_seconds, gradient_seconds
 from cqrun.running.gradient_memory import GRADIENT, gradient_plan
 from cqrun.running.reporter import Silent
-from cqrun.running.runs import optimizer_of
+from cqrun.running.runs import build_and_warn, optimizer_of
 from cqrun.running.tables import number
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
@@ -56,6 +57,7 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     for name in built.particles.names:
         yield from _body(built, name, thinnest[name])
     yield from _actuators(built)
+    yield from _measured(built)
     yield from _rest(built) if at_rest(scene) else _time(built)
     if built.scene.unknowns:
         yield from _unknowns(built)
@@ -78,7 +80,7 @@ def _prepared(scene: Scene) -> tuple[Built, Agent | None, EpisodeProblem | None,
         return fit.built, None, None, fit.cases
     if scene.job == REST.name:
         return REST.prepare(scene, 1, Silent()).built, None, None, None
-    built = build(scene)
+    built = build_and_warn(scene, Silent())
     agent = None if scene.controller is None else Agent(built)
     reads_data = scene.job is None or JOBS[scene.job].reads_data(scene)
     return built, agent, None, given_cases(built) if reads_data else None
@@ -130,6 +132,13 @@ def _actuators(built: Built) -> Iterator[str]:
         chosen: Any = built.scene.actuators[actuator.name.partition(".")[0]]
         count = len(actuator.particles)
         yield line("actuator", f"{actuator.name} ({chosen.name}): {count:,} particles of '{chosen.value.body}'")
+
+
+def _measured(built: Built) -> Iterator[str]:
+    for name, bound in bound_measures(built).items():
+        numbers = [component for component in bound.components if component]
+        unit = "" if bound.unit == "1" else f" [{bound.unit}]"
+        yield line("measured", f"{name}: {bound.meaning}{unit}{f', {listed(numbers)}' if numbers else ''}")
 
 
 # --- time ---------------------------------------------------------------------------------------------------

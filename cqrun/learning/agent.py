@@ -27,10 +27,11 @@ from cqrun.explain import listed
 from cqrun.learning.actuator_placement import actuator_placement, require_same
 from cqrun.learning.controller_fingerprint import controller_fingerprint, differences
 from cqrun.learning.replay import SUBSTEPS, kept_values, require_fitting
-from cqrun.objectives.term import Objective, Track, TrackBar
+from cqrun.objectives.term import Objective
 from cqrun.observers.matter import Unfit
 from cqrun.observers.observer import Observation
 from cqrun.observers.rows import slices
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array
 from cqrun.running.side_by_side import Effort
 from cqrun.running.unknowns import make_params
@@ -258,7 +259,7 @@ class Agent:
         return Track(
             records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at],
             rollout.activation if activation is None else activation, goals, self.matter.control_step,
-            self.built.assembly.design(rollout.inputs), records.held,
+            self.built.assembly.design(rollout.inputs), records.held, rollout.inputs.strength, rollout.inputs.rest,
         )  # fmt: skip
 
     def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:
@@ -300,36 +301,40 @@ class Agent:
         rollout = self.rollout(values, goals, threads, adjoint=True)
         rollout.model = replace(rollout.model, memory_budget=budget)
         attempts: list[Attempt] = []
-        functions: list[tuple[bool, Array | None]] = []  # of each: whether it has a sweep, and the design's cotangent
+        functions: list[tuple[bool, TrackBar]] = []  # of each: whether it has a sweep, and the other cotangents
 
         def loss_bars(records: Records, final: State) -> Iterator[LossBar]:
             tracks = self._tracks(rollout, records, goals)
             attempts.append(self._judged(rollout, *tracks))
             for mix in mixes(attempts[0]):
-                loss_bar, design_bar = self._bars(records, *tracks, mix)
-                functions.append((loss_bar is not None, design_bar))
+                loss_bar, beside = self._bars(records, *tracks, mix)
+                functions.append((loss_bar is not None, beside))
                 if loss_bar is not None:
                     yield loss_bar
 
         of_scene = {p: v for p, v in values.items() if not p.startswith(CONTROLLER)}
         _, sweeps = rollout.gradients(loss_bars)
         waiting, gradients = iter(sweeps), []
-        for swept, design_bar in functions:
+        for swept, beside in functions:
             if not swept:  # it depends on the design only
                 inputs_bar, parameters_bar = Inputs.zeros_like(rollout.inputs), rollout.policy.parameters_zero()  # type: ignore[union-attr]
             else:
                 sweep = next(waiting)
                 inputs_bar, parameters_bar = sweep.inputs_bar(), sweep.parameters_bar
-            if design_bar is not None:
-                self.built.assembly.add_design_bar(inputs_bar, design_bar)
+            if beside.design is not None:
+                self.built.assembly.add_design_bar(inputs_bar, beside.design)
+            if beside.strength is not None:
+                inputs_bar.strength += beside.strength
+            if beside.rest_length is not None:
+                inputs_bar.rest += beside.rest_length
             by_controller = {CONTROLLER + name: bar for name, bar in parameters_bar.items()}
             gradients.append(by_controller | self.built.assembly.gradient(of_scene, inputs_bar))
         return replace(attempts[0], growth_at=rollout.growth_at, effort=Effort.of(rollout)), gradients
 
     def _bars(
         self, records: Records, track: Track, constraints_track: Track, mix: Mix
-    ) -> tuple[LossBar | None, Array | None]:
-        """Return the cotangents of the rollout's results and of the design (Q, N) for a function; None for zero."""
+    ) -> tuple[LossBar | None, TrackBar]:
+        """Return a function's cotangents: of the rollout's results, None for zero, and of the inputs of its terms."""
         full = records.zeros_like()
         total, moves = TrackBar(), False
         for user, bar in (
@@ -343,12 +348,12 @@ class Agent:
             for boundary, held_bar in (bar.held or {}).items():
                 full.held[boundary] += held_bar
                 moves = True
-            for name in ("activation", "design"):
+            for name in ("activation", "design", "strength", "rest_length"):
                 part, so_far = getattr(bar, name), getattr(total, name)
                 if part is not None:
                     setattr(total, name, part if so_far is None else so_far + part)
         moves = moves or total.activation is not None
-        return (LossBar(full, activation=total.activation) if moves else None), total.design
+        return (LossBar(full, activation=total.activation) if moves else None), total
 
 
 def _of_scene(values: Values) -> dict[str, Any]:

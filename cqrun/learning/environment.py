@@ -33,8 +33,8 @@ from cqrun.errors import MissingExtra, Problem, RolloutError, SceneError, UsageE
 from cqrun.explain import listed
 from cqrun.learning.agent import FILE, OBJECTIVE, Agent, Goals, Values
 from cqrun.learning.replay import design_in, require_fitting
-from cqrun.objectives.term import Track
 from cqrun.observers.clock import Clock
+from cqrun.observers.track import Track
 from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Array
 from cqrun.running.runs import scene_in

@@ -3,6 +3,7 @@
 controller.npz    the best parameters of the controller
 trajectory.h5     the first episode with it
 activation.csv    the activations in this episode
+measurements.csv  the quantities that the scene measures, in this episode
 result.json       the objective's terms at the start and at the end, on the goals of the training and on unseen goals;
                   episodes that blew up; the constraints, and the unknowns of the design
 """
@@ -22,6 +23,7 @@ from cqrun.learning.episodes import EpisodeProblem
 from cqrun.optimizers.base import Outcome
 from cqrun.optimizers.constrained import AT_BOUND
 from cqrun.plugin.contract import Array
+from cqrun.running.measuring import Measuring, write_measured
 from cqrun.running.side_by_side import side_by_side
 from cqrun.running.trajectories import as_found, write_activation, write_trajectory
 from cqrun.scene.schema import Scene
@@ -88,7 +90,9 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         rollout = problem.agent.rollout(values, shown.goals, problem.threads)
         unknowns = {path: value for path, value in values.items() if not path.startswith(CONTROLLER)}
         provenance = problem.agent.wanted(shown.goals) | as_found(unknowns)
-        write_trajectory(run.path / "trajectory.h5", problem.built, rollout, provenance=provenance)
+        measuring, file = Measuring(problem.built, unknowns), run.path / "trajectory.h5"
+        write_trajectory(file, problem.built, rollout, measuring=measuring, provenance=provenance)
+        write_measured(run.path, measuring, result)
     write_result(run.path, result)
     return result
 

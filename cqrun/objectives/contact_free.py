@@ -9,9 +9,10 @@ from pydantic import Field
 
 from cqrun.geometry.region import ChosenRegion
 from cqrun.objectives.axes import AlongAxis
-from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
+from cqrun.objectives.term import BoundTerm, Over
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import single
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array, quantity
 from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
+from cqrun.objectives.term import BoundTerm, Over
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import means
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array
 
 DESIGN = ("mass", "volume", "youngs_modulus", "poissons_ratio")

@@ -9,9 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.explain import listed
-from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import means
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 

@@ -8,9 +8,10 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.objectives.axes import AlongAxis
-from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
+from cqrun.objectives.term import BoundTerm, Over
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array
 from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin

@@ -10,9 +10,10 @@ from pydantic import Field, model_validator
 from cqrun.errors import UsageError
 from cqrun.explain import complaint, finding
 from cqrun.objectives.gaps import lengths, lengths_vjp
-from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array, vector
 from cqrun.plugin.reference import BodyName, GoalName, GroupName, NamesGroup, Position
 from cqrun.plugin.registry import plugin

@@ -10,9 +10,10 @@ from pydantic import Field, model_validator
 from cqrun.explain import Loc, complaint, finding
 from cqrun.objectives.axes import AXES, Axis
 from cqrun.objectives.gaps import lengths, lengths_vjp
-from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import means
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array, quantity
 from cqrun.plugin.reference import BoundaryName
 from cqrun.plugin.registry import plugin

@@ -9,9 +9,10 @@ from pydantic import Field
 
 from cqrun.geometry.region import ChosenRegion
 from cqrun.numerics.tensor import inner, mul, mul_at, plus_diagonal, scale, trace
-from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar, reduced_vjp
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, reduced_vjp
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import single
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array
 from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -18,6 +17,7 @@ from pydantic import Field
 
 from cqrun.observers.matter import Matter, bind_each
 from cqrun.observers.rows import slices, stacked
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array, Plugin
 
 if TYPE_CHECKING:
@@ -27,45 +27,6 @@ MOST_PLACES = 200
 """Largest number of positions of a course in a trajectory file, because HDF5 attributes are limited to 64 KiB."""
 
 Over = Literal["final", "mean", "sum", "minimum", "maximum", "product"]
-
-
-@dataclass
-class Track:
-    """The record of a run that a term reads.
-
-    Attributes:
-        x, v: (T+1, K, D) the term's weighted sums of positions [m] and velocities [m/s] at control steps 0 .. T.
-        C, F: (T+1, K, D, D) the same sums of affine matrices [1/s] and deformation gradients.
-        activation: (T, A) activations of the actuators.
-        goals: goal -> its entries in this episode.
-        control_step: length of a control step [s].
-        design: (Q, N) rows of `objectives/design.py` for every particle.
-        held: force [N] and moment [N m] of the boundaries that terms need (T+1, D+1) or (T+1, 6), by name: means over
-            each control step, which row 0 does not have (engine/reference/reactions.py).
-    """
-
-    x: Array
-    v: Array
-    C: Array
-    F: Array
-    activation: Array
-    goals: Mapping[str, Array]
-    control_step: float
-    design: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    held: Mapping[str, Array] = field(default_factory=dict)
-
-
-@dataclass
-class TrackBar:
-    """The cotangent of a track; None is zero."""
-
-    x: Array | None = None
-    v: Array | None = None
-    C: Array | None = None
-    F: Array | None = None
-    activation: Array | None = None
-    design: Array | None = None
-    held: dict[str, Array] | None = None
 
 
 class BoundTerm(ABC):
@@ -173,7 +134,8 @@ class Objective:
             for part in ("x", "v", "C", "F"):
                 _add(total, part, getattr(term_bar, part), getattr(track, part), (slice(None), self._places[name]))
             _add(total, "activation", term_bar.activation, track.activation, ())
-            _add(total, "design", term_bar.design, track.design, ())
+            for part in ("design", "strength", "rest_length"):
+                _add(total, part, getattr(term_bar, part), getattr(track, part), ())
             for boundary, held_bar in (term_bar.held or {}).items():
                 total.held = total.held or {}
                 total.held[boundary] = total.held.get(boundary, 0.0) + held_bar
@@ -184,7 +146,7 @@ class Objective:
         at = self._places[name]
         return Track(
             track.x[:, at], track.v[:, at], track.C[:, at], track.F[:, at], track.activation, track.goals,
-            track.control_step, track.design, track.held,
+            track.control_step, track.design, track.held, track.strength, track.rest_length,
         )  # fmt: skip
 
 

@@ -12,9 +12,10 @@ from cqrun.explain import Loc, complaint, finding, listed
 from cqrun.objectives.gaps import lengths, lengths_vjp
 from cqrun.objectives.hermite import Interpolant, interpolant
 from cqrun.objectives.recorded import RecordedPath
-from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array, quantity
 from cqrun.plugin.reference import BodyName, GroupName, InWorld
 from cqrun.plugin.registry import plugin

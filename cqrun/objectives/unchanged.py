@@ -9,9 +9,10 @@ from pydantic import Field
 
 from cqrun.errors import UsageError
 from cqrun.objectives.design import MASS, RATIO, STIFFNESS, VOLUME
-from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array
 from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin

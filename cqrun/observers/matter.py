@@ -10,6 +10,7 @@ import numpy as np
 
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
+from cqrun.forces.route import Pulling
 from cqrun.plugin.contract import Array
 
 A_GROUP = "Group of the body, or region of the scene, by name; the whole body if absent"
@@ -19,6 +20,33 @@ A_GROUP = "Group of the body, or region of the scene, by name; the whole body if
 def _no_recordings(file: str, units: str | None, marker: str) -> tuple[Array, Array]:
     """Raise UsageError: the default of `Matter.recorded`, for scenes without recordings."""
     raise UsageError(f"{file}: no recordings can be read here")
+
+
+B = TypeVar("B", covariant=True)
+
+
+class Bindable(Protocol[B]):
+    """A plug-in that can be bound to a scene's particles."""
+
+    def bind(self, matter: Matter) -> B:
+        """Bind the plug-in to the particles; UsageError if it does not fit them."""
+
+
+@dataclass(frozen=True)
+class Route:
+    """A cable or a spring.
+
+    Attributes:
+        particles: its particles, in order.
+        number: its number among all parts of actuators and forces.
+        law: the plug-in, which knows the tension.
+        activated: whether it has an activation.
+    """
+
+    particles: Array
+    number: int
+    law: Pulling
+    activated: bool
 
 
 @dataclass(frozen=True)
@@ -41,6 +69,9 @@ class Matter:
         neutral: (A,) activation of each actuator that does nothing, or as little as its range allows.
         recorded: (file name in the scene, its units or None, marker) -> times (T,) at which the marker was seen [s],
             and its positions then (T, D) [m]; UsageError if there is no such file or marker.
+        n_parts: number of parts of actuators and forces.
+        routes: name -> cable or spring.
+        measures: name -> measured quantity of the scene, which is not bound yet.
         design: (Q, N) rows of `objectives/design.py` at the initial values of the unknowns; (0, 0) if not known.
     """
 
@@ -59,6 +90,9 @@ class Matter:
     regions: Sequence[str] = ()
     neutral: Array = field(default_factory=lambda: np.zeros(0))
     spacing: Mapping[str, float] = field(default_factory=dict)
+    n_parts: int = 0
+    routes: Mapping[str, Route] = field(default_factory=dict)
+    measures: Mapping[str, Bindable[Any]] = field(default_factory=dict)
 
     @property
     def n_particles(self) -> int:
@@ -101,6 +135,12 @@ class Matter:
             raise UsageError(_unknown("goal", goal, self.goals))
         return self.goals[goal]
 
+    def measured(self, name: str) -> Any:
+        """Return a measured quantity of the scene, bound to these particles; UsageError if there is none."""
+        if name not in self.measures:
+            raise UsageError(_unknown("measured quantity", name, self.measures))
+        return self.measures[name].bind(self)
+
     def _group(self, body: str, group: str) -> Array:
         known = self.groups.get(body, {})
         if group not in known and group in self.regions:
@@ -108,16 +148,6 @@ class Matter:
         if group not in known:
             raise UsageError(_unknown(f"group of the body '{body}'", group, [*known, *self.regions]))
         return known[group]
-
-
-B = TypeVar("B", covariant=True)
-
-
-class Bindable(Protocol[B]):
-    """A plug-in that can be bound to a scene's particles."""
-
-    def bind(self, matter: Matter) -> B:
-        """Bind the plug-in to the particles; UsageError if it does not fit them."""
 
 
 class Unfit(UsageError):

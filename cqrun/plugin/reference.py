@@ -70,6 +70,16 @@ class NamesBoundary:
 
 
 @dataclass(frozen=True)
+class NamesForce:
+    """Mark of the name of one of the scene's forces without an activation, such as a spring."""
+
+
+@dataclass(frozen=True)
+class NamesMeasure:
+    """Mark of the name of one of the scene's measured quantities."""
+
+
+@dataclass(frozen=True)
 class NamesFile:
     """Mark of the name of a file, relative to the scene's folder. `Spec.path_of` returns its path."""
 
@@ -109,6 +119,8 @@ RegionName = Annotated[str, NamesRegion()]
 GoalName = Annotated[str, NamesGoal()]
 ActuatorName = Annotated[str, NamesActuator()]
 BoundaryName = Annotated[str, NamesBoundary()]
+ForceName = Annotated[str, NamesForce()]
+MeasureName = Annotated[str, NamesMeasure()]
 FileName = Annotated[str, NamesFile()]
 Position = Annotated[list[float], InWorld()]
 Face = Annotated[Literal["x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "all"], NamesFace()]

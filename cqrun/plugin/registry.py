@@ -27,6 +27,7 @@ FOLDERS = {
     "controller": "cqrun.controllers",
     "observer": "cqrun.observers",
     "objective": "cqrun.objectives",
+    "measure": "cqrun.measures",
     "measurement": "cqrun.measurements",
     "optimizer": "cqrun.optimizers",
 }

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from cqrun.build.measures import bound_measures
 from cqrun.build.model import Built, build
 from cqrun.errors import InfeasibleError, Problem, RunError, SceneError, UsageError
 from cqrun.optimizers.base import Optimizer
@@ -33,6 +34,7 @@ EXTENDED = "`cqrun resume` has given it more iterations than this scene has"
 def build_and_warn(scene: Scene, talk: Reporter) -> Built:
     """Build a scene and report its warnings."""
     built = build(scene)
+    bound_measures(built)  # reports quantities that do not fit
     for warning in built.warnings:
         talk.warn(str(warning))
     return built

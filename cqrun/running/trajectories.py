@@ -13,6 +13,7 @@ from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.fingerprint import engine_hash
 from cqrun.plugin.contract import Array
+from cqrun.running.measuring import Measuring
 from cqrun.scene.load import dump, resolve
 from cqrun.state import State
 from cqrun.store.atomic import write_table
@@ -33,6 +34,7 @@ def write_trajectory(
     *,
     should_stop: Callable[[], bool] | None = None,
     progress: Callable[[int, State], None] | None = None,
+    measuring: Measuring | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> tuple[Records, bool]:
     """Run a scene and write x, v, J = det F, activation and histories of its particles, and recorded reactions.
@@ -43,6 +45,7 @@ def write_trajectory(
         rollout: a rollout of the scene, perhaps with another probe, that has not run yet.
         should_stop: called at every control step; after a stop the trajectory remains a readable `.part` file.
         progress: called with every control step and its state.
+        measuring: measures the quantities that the scene names; the file gets them, too.
         provenance: more attributes of the file.
 
     Returns:
@@ -64,6 +67,8 @@ def write_trajectory(
         def observe(control: int, state: State) -> None:
             if progress is not None:
                 progress(control, state)
+            if measuring is not None:
+                measuring.look(state, rollout.inputs, rollout.activation[max(control - 1, 0)])
             if control % every == 0 or control == model.n_controls:
                 values = {"x": state.x, "v": state.v, "J": np.linalg.det(state.F), "step": np.asarray(control)}
                 if model.actuators:
@@ -75,8 +80,11 @@ def write_trajectory(
         complete = writer.written == n_frames  # the last frame belongs to the last control step
         if not complete:
             writer.abandon()
-        elif records.held:
-            writer.add_reactions(Reactions.of(records.held, model.dim, step))
+        else:
+            if records.held:
+                writer.add(Reactions.of(records.held, model.dim, step))
+            if measuring is not None and (measured := measuring.end(records.held)) is not None:
+                writer.add(measured)
     return records, complete
 
 

@@ -8,7 +8,16 @@ from typing import Any
 from pydantic_core import InitErrorDetails
 
 from cqrun.explain import KEY, VALUE, Loc, finding, listed
-from cqrun.plugin.reference import InWorld, NamesActuator, NamesBody, NamesBoundary, NamesFace, NamesGoal
+from cqrun.plugin.reference import (
+    InWorld,
+    NamesActuator,
+    NamesBody,
+    NamesBoundary,
+    NamesFace,
+    NamesForce,
+    NamesGoal,
+    NamesMeasure,
+)
 from cqrun.scene.activation import Activation
 from cqrun.scene.region_names import findings_of_regions, unknown
 from cqrun.scene.sections import Sections
@@ -38,12 +47,14 @@ def _faces(scene: Sections) -> Iterator[InitErrorDetails]:
 
 
 def _names(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield every name of a body, a goal, an actuator or a boundary that the scene does not have."""
+    """Yield every name of a body, goal, actuator, force, boundary or measured quantity that the scene does not have."""
     kinds: dict[str, tuple[type[Any], Mapping[str, Any]]] = {
         "body": (NamesBody, scene.bodies),
         "goal": (NamesGoal, scene.goals),
         "actuator": (NamesActuator, scene.actuators),
+        "force": (NamesForce, scene.forces),
         "boundary": (NamesBoundary, scene.boundaries),
+        "measured quantity": (NamesMeasure, scene.measure),
     }
     for kind, (mark, legal) in kinds.items():
         for found in marked(scene, mark):

@@ -64,6 +64,10 @@ class Sections(Spec):
         description="Key path, or activation.NAME -> values that `cqrun rest` goes through", default_factory=dict,
         exclude_if=lambda path: not path,
     )  # fmt: skip
+    measure: dict[Name, Annotated[Chosen[Plugin], Choice("measure")]] = Field(
+        description="Name -> measured quantity over time: a table, a term, a constraint, or what a controller sees",
+        default_factory=dict, exclude_if=lambda measure: not measure,
+    )  # fmt: skip
     observers: dict[Name, Annotated[Chosen[Plugin], Choice("observer")]] = Field(
         description="Name -> observer: what a controller sees", default_factory=dict
     )

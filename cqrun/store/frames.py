@@ -15,6 +15,7 @@ from cqrun.disk import require_ordinary
 from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
 from cqrun.store.hdf5 import checksum, numbers, require_sound_heaps, require_stored_zeros, text
+from cqrun.store.measured import MeasuredQuantities, read_measured
 from cqrun.store.reactions import Reactions, read_reactions
 
 if TYPE_CHECKING:
@@ -97,6 +98,15 @@ class Frames:
         """
         with self._reading():
             return read_reactions(self._file)
+
+    def read_measured(self) -> MeasuredQuantities | None:
+        """Return the measured quantities; None if there are none, as in a file that is still being written.
+
+        Raises:
+            UsageError: they cannot be read.
+        """
+        with self._reading():
+            return read_measured(self._file)
 
     def _sound(self, field: str, first: int, frames: Array) -> Array:
         """Return frames that were read (T, N, ...), from number `first` on, if they are those that were written."""

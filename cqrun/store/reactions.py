@@ -60,19 +60,18 @@ class Reactions:
         rows = [*self.force.values(), *self.moment.values()]
         return self.time.nbytes + sum(a.nbytes + 4 * len(a) + 4096 for a in rows)
 
-
-def write_reactions(file: h5py.File, reactions: Reactions) -> None:
-    """Write reactions to a trajectory."""
-    units = force_units(max((a.shape[1] for a in reactions.force.values()), default=3))
-    arrays = {TIME: (reactions.time, "s")}
-    for name in reactions.force:
-        for part, of, unit in zip(PARTS, (reactions.force, reactions.moment), units, strict=True):
-            arrays[f"{BOUNDARIES}/{name}/{part}"] = of[name], unit
-    for name, (array, unit) in arrays.items():
-        place = f"{GROUP}/{name}"
-        file[place] = np.ascontiguousarray(array, "f8")
-        file[place].attrs["unit"] = unit
-        file[f"checksums/{place}"] = np.array([checksum(row) for row in np.asarray(array, "f8")], np.uint32)
+    def write_to(self, file: h5py.File) -> None:
+        """Write the reactions to a trajectory."""
+        units = force_units(max((a.shape[1] for a in self.force.values()), default=3))
+        arrays = {TIME: (self.time, "s")}
+        for name in self.force:
+            for part, of, unit in zip(PARTS, (self.force, self.moment), units, strict=True):
+                arrays[f"{BOUNDARIES}/{name}/{part}"] = of[name], unit
+        for name, (array, unit) in arrays.items():
+            place = f"{GROUP}/{name}"
+            file[place] = np.ascontiguousarray(array, "f8")
+            file[place].attrs["unit"] = unit
+            file[f"checksums/{place}"] = np.array([checksum(row) for row in np.asarray(array, "f8")], np.uint32)
 
 
 def read_reactions(file: h5py.File) -> Reactions | None:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
 from cqrun.errors import UsageError
+from cqrun.store.measured import MeasuredNumber
 from cqrun.store.model_file import Part, optional, read_model, write_model
 from cqrun.store.reactions import BoundaryForce
 from cqrun.store.rest_point import RestPoint
@@ -24,6 +25,11 @@ Value = float | list[float]
 
 Interval = tuple[float, float]
 """Lower and upper end."""
+
+
+def measured_field() -> Any:
+    """Return the field of a result for its measured quantities, by the name of each number; left out if it has none."""
+    return Field(default_factory=dict, exclude_if=lambda measured: not measured)
 
 
 class Search(Part):
@@ -127,6 +133,7 @@ class SysidResult(Search):
     fracture: dict[str, int] | None = None
     findings: list[str] = Field(default_factory=list)
     thinnest: dict[str, Thinnest] = thinnest_parts_field()
+    measured: dict[str, MeasuredNumber] = measured_field()
 
 
 # --- control and codesign -------------------------------------------------------------------------------------------
@@ -207,6 +214,7 @@ class LearnedResult(Search):
     unseen: Stage | None = None
     constraints: dict[str, ConstraintValue] = Field(default_factory=dict)
     blew_up: dict[StageName, list[LostEpisode]] = Field(default_factory=dict)
+    measured: dict[str, MeasuredNumber] = measured_field()
 
     def stages(self) -> dict[StageName, Stage]:
         """Return the stages that have episodes, by name."""
@@ -247,6 +255,7 @@ class SimulateResult(Part):
     fracture: dict[str, int]
     findings: list[str]
     thinnest: dict[str, Thinnest] = thinnest_parts_field()
+    measured: dict[str, MeasuredNumber] = measured_field()
     boundaries: dict[str, BoundaryForce] | None = optional()
     goals: dict[str, list[float]] | None = optional()
     loss: float | None = optional()
@@ -267,6 +276,7 @@ class RestResult(Part):
     points: list[RestPoint]
     findings: list[str]
     thinnest: dict[str, Thinnest] = thinnest_parts_field()
+    measured: dict[str, MeasuredNumber] = measured_field()
 
 
 # --- gradcheck ------------------------------------------------------------------------------------------------------

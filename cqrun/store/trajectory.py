@@ -3,6 +3,7 @@
     /time (T) f8   /step (T) i8   /frames () i8: number of written frames
     /particles/x (T, N, D) f8   v (T, N, D) f4   further fields (T, N, ...)   body (N) i4
     /particles attributes: names of the bodies, and first and last particle of each       / attributes: provenance
+    /measured: quantities that the scene names, over time (measured.py)
     /reactions: forces and moments of boundaries, if the run recorded them (reactions.py)
     /checksums/x, v, ... (T) u4: CRC-32 of each frame of a field; without them a damaged index reads as zeros
     /VTKHDF: the same data in ParaView's format, as virtual datasets without a copy (vtkhdf.py)
@@ -22,7 +23,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -31,7 +32,8 @@ from cqrun.plugin.contract import Array
 from cqrun.store.atomic import disk_errors, make_directory, require_room
 from cqrun.store.frames import Frames, part_path
 from cqrun.store.hdf5 import checksum
-from cqrun.store.reactions import Reactions, write_reactions
+from cqrun.store.measured import MeasuredQuantities
+from cqrun.store.reactions import Reactions
 from cqrun.store.vtkhdf import add_vtk_view
 
 if TYPE_CHECKING:
@@ -67,6 +69,7 @@ class Trajectory:
         provenance: the attributes given to the writer.
         complete: whether every frame was written and the file closed.
         reactions: of boundaries in every control step; None if the run did not record any.
+        measured: quantities that the scene names; None if it names none.
     """
 
     time: Array
@@ -76,6 +79,18 @@ class Trajectory:
     provenance: dict[str, Any] = field(default_factory=dict)
     complete: bool = True
     reactions: Reactions | None = None
+    measured: MeasuredQuantities | None = None
+
+
+class Beside(Protocol):
+    """What a trajectory holds beside the particles."""
+
+    @property
+    def nbytes(self) -> int:
+        """Size of all numbers [bytes], with checksums and names."""
+
+    def write_to(self, file: h5py.File) -> None:
+        """Write it to the file."""
 
 
 class TrajectoryWriter:
@@ -104,7 +119,7 @@ class TrajectoryWriter:
     ) -> None:
         self.path, self.part = path, part_path(path)
         self.n_frames, self.written = n_frames, 0
-        self._reactions: Reactions | None = None
+        self._beside: list[Beside] = []
         self._shapes = {POSITION: (dim,)} | {name: tuple(shape) for name, shape in fields.items()}
         make_directory(path.parent)
         self._raw = self._count_bytes(dict(bodies)) + 3 * len(json.dumps(dict(provenance))) + SPARE
@@ -144,10 +159,10 @@ class TrajectoryWriter:
             self._file.flush()
         self.written += 1
 
-    def add_reactions(self, reactions: Reactions) -> None:
-        """Add the reactions of boundaries, which `close` writes: they are known at the end of a run."""
-        self._reactions = reactions
-        self._raw += reactions.nbytes
+    def add(self, beside: Beside) -> None:
+        """Add what is known only at the end of a run, such as the reactions of boundaries; `close` writes it."""
+        self._beside.append(beside)
+        self._raw += beside.nbytes
 
     def close(self) -> None:
         """Pack the file into its final name, and add the view for ParaView; a second call does nothing.
@@ -163,8 +178,8 @@ class TrajectoryWriter:
             make_empty(packed)
             with _open_for_writing(packed, "w") as target:
                 _pack(self._file, target, self.written)
-                if self._reactions is not None:
-                    write_reactions(target, self._reactions)
+                for beside in self._beside:
+                    beside.write_to(target)
             self._file.close()
             packed.replace(self.path)
             self.part.unlink()
@@ -285,4 +300,5 @@ def read_trajectory(path: Path) -> Trajectory:
             provenance=frames.provenance,
             complete=frames.complete,
             reactions=frames.read_reactions(),
+            measured=frames.read_measured(),
         )

@@ -12,7 +12,8 @@ from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, STEP, box_around_
 from made_tracks import a_track, adjoint_error
 
 from cqrun.objectives.gaps import lengths, lengths_vjp
-from cqrun.objectives.term import BoundTerm, Objective, Over, Track, TrackBar, reduced, reduced_vjp
+from cqrun.objectives.term import BoundTerm, Objective, Over, reduced, reduced_vjp
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.registry import plugins
 
 OVER = typing.get_args(Over)
@@ -49,6 +50,12 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "reaction_track": [
             {"boundary": "floor", "component": "x", "path": [[0.02, 1.0], [0.2, -1.0]]},
             {"boundary": "clamp", "of": "moment", "component": "z", "on": "boundary", "path": [[0.0, 0.3]]},
+        ],
+        "measured": [
+            {"quantity": "tip", "component": "y"}, {"quantity": "tip"},
+            {"quantity": "tip", "target": [0.1, 0.2, 0.3][:dim]}, {"quantity": "gap", "target": 0.3},
+            {"quantity": "cable"}, {"quantity": "held", "component": "x"},
+            {"quantity": "energy"},
         ],
         "height": [{"body": "arm", "group": "tip"}, {"body": "ball", "axis": "x"}],
         "contact_free": [

@@ -11,7 +11,8 @@ from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, made_matter
 from pydantic import TypeAdapter, ValidationError
 
 from cqrun.errors import UsageError
-from cqrun.objectives.term import Objective, ObjectiveTerm, Track, reduced
+from cqrun.objectives.term import Objective, ObjectiveTerm, reduced
+from cqrun.observers.track import Track
 from cqrun.plugin.choice import Choice, Chosen
 
 CHOSEN = TypeAdapter(Annotated[Chosen[ObjectiveTerm], Choice("objective")])

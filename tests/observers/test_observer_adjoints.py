@@ -36,6 +36,7 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "clock": [{}, {"period": 0.3, "harmonics": 2}],
         "goal": [{"goal": "target", "body": "arm"}, {"goal": "target", "body": "arm", "group": "tip"},
                  {"goal": "target"}],
+        "measured": [{"quantity": "tip"}, {"quantity": "gap", "range": [0.0, 0.5]}],
         "pca": [{"body": "arm", "components": 2}],
         "vae": [{"body": "arm", "file": "made by `make`"}],
     }  # fmt: skip

@@ -20,7 +20,7 @@ from cqrun.scene.data import Unknown
 from cqrun.scene.paths import leaf
 from cqrun.store.atomic import disk_errors
 from cqrun.store.frames import Frames
-from cqrun.store.result import Interval, SysidResult, require_result
+from cqrun.store.result import Interval, SysidResult, read_result, require_result
 from cqrun.units import force_units
 
 STILL = 1e-6
@@ -49,9 +49,18 @@ class Quantity:
 
 
 def quantities_of(job: str, run: Path, built: Built) -> dict[str, Quantity]:
-    """Return what a finished run of sysid, rest or simulate found, by name."""
+    """Return what a finished run of sysid, rest or simulate found, by name; first what its scene measures."""
     kinds = {"sysid": _identified, "rest": _at_rest, "simulate": _in_motion}
-    return dict(kinds[job](run, built))
+    return measured_in(run) | dict(kinds[job](run, built))
+
+
+def measured_in(run: Path) -> dict[str, Quantity]:
+    """Return the quantities that the scene of a finished run measures: each number's last value and its extremes."""
+    found: dict[str, Quantity] = {}
+    for name, number in getattr(read_result(run), "measured", {}).items():
+        unit = "" if number.unit == "1" else number.unit
+        found |= {f"{name}.{end}": Quantity(getattr(number, end), unit) for end in ("end", "least", "largest")}
+    return found
 
 
 # --- sysid ------------------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from cqrun.errors import SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.job import Job
 from cqrun.jobs.studies.axes import Point, Sampling, axis_of, points_of
-from cqrun.jobs.studies.quantities import Quantity, quantities_of
+from cqrun.jobs.studies.quantities import Quantity, measured_in, quantities_of
 from cqrun.jobs.studies.seeds import INFEASIBLE, command_of, has_ended
 from cqrun.jobs.table import JOBS
 from cqrun.running.cluster import PROCESSES, Parcel, require_place, run_on_cluster
@@ -239,7 +239,7 @@ def found_in(job: Job[Any, Any], run: Path) -> dict[str, Quantity]:
         stage = stages.get("trained") or stages.get("start")
         scores = {} if stage is None else {"loss": stage.loss, **stage.terms}
         scores |= {name: float(u.value) for name, u in result.unknowns.items() if isinstance(u.value, float | int)}
-        return {name: Quantity(value, "") for name, value in scores.items()}
+        return {name: Quantity(value, "") for name, value in scores.items()} | measured_in(run)
     if isinstance(result, SimulateResult) and result.loss is not None:
         scores = {"loss": result.loss, **(result.terms or {})}
     built = job.prepare(scene_in(run, with_data=job.reads_data(load_scene(run / "scene.yaml"))), 1, Silent()).built

@@ -1,0 +1,79 @@
+"""measured.png: the quantities that a scene measures, over time or along a path of equilibria."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cqrun.figures.path import TABLE as REST_TABLE
+from cqrun.figures.path import read_table
+from cqrun.figures.run_data import RunData
+from cqrun.figures.style import COLOURS, new_figure
+from cqrun.plugin.contract import Array
+from cqrun.scene.load_path import ACTIVATION
+from cqrun.scene.paths import leaf
+from cqrun.store.measured import TABLE, MeasuredQuantities, Quantity
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST, ACROSS = 12, 3
+"""Largest number of panels, and of panels in a row; the table has all quantities."""
+
+LONG = 36
+"""A label of more letters than this is divided into two lines."""
+
+
+def has_measured(run: RunData) -> bool:
+    """Return whether a run has measured quantities."""
+    return bool(run.scene.measure) and (run.path / TABLE).is_file() and run.has_trajectory()
+
+
+def draw_measured(run: RunData) -> Figure | None:
+    """Draw a panel for each quantity, with a line for each of its components; None if the file has none."""
+    with run.frames() as frames:
+        measured = frames.read_measured()
+    if measured is None or len(measured.time) < 2:
+        return None
+    label, along = _along(run, measured)
+    shown = list(measured.quantities.items())[:MOST]
+    columns = min(ACROSS, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = new_figure(3.4 * columns, 2.5 * rows)
+    for k, (name, quantity) in enumerate(shown, start=1):
+        axes = figure.add_subplot(rows, columns, k)
+        _plot(axes, name, quantity, along, marker="." if measured.at_rest else "")
+        axes.set_xlabel(label)
+    if len(measured.quantities) > MOST:
+        figure.suptitle(f"{MOST} of {len(measured.quantities)} quantities; {TABLE} has all")
+    return figure
+
+
+def _plot(axes: Axes, name: str, quantity: Quantity, along: Array, marker: str) -> None:
+    """Draw the lines of one quantity."""
+    values = quantity.values[-len(along) :]
+    for k, component in enumerate(quantity.components):
+        axes.plot(along, values[:, k], marker=marker, color=COLOURS[k % len(COLOURS)], label=component)
+    unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
+    what = f"{quantity.meaning}{unit}"
+    axes.set_ylabel(what if len(what) <= LONG else f"{quantity.meaning}\n{unit.strip()}")
+    axes.set_title(name)
+    if len(quantity.components) > 1:
+        axes.legend()
+
+
+def _along(run: RunData, measured: MeasuredQuantities) -> tuple[str, Array]:
+    """Return what the quantities are drawn against, and its values (T,) or, without the rest shape, (T - 1,)."""
+    if not measured.at_rest:
+        return "time [s]", measured.time
+    file = run.path / REST_TABLE
+    key = next(iter(run.scene.path), None)
+    if key is None or not file.is_file():
+        return "point", measured.time
+    column = read_table(file).get(key)
+    if column is None or len(column) != len(measured.time) - 1 or not np.isfinite(column).all():
+        return "point", measured.time
+    unit = "1" if key.startswith(ACTIVATION) else leaf(run.scene, key).unit
+    return f"{key} [{unit}]" if unit != "1" else key, column

@@ -1,0 +1,55 @@
+"""The record of a run as readers see it: terms of the objective, and measured quantities; and its cotangent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cqrun.plugin.contract import Array
+
+
+@dataclass
+class Track:
+    """The record of a run that a reader, such as a term of the objective, gets.
+
+    Attributes:
+        x, v: (T+1, K, D) the reader's weighted sums of positions [m] and velocities [m/s] at control steps 0 .. T.
+        C, F: (T+1, K, D, D) the same sums of affine matrices [1/s] and deformation gradients.
+        activation: (T, A) activations of the actuators.
+        goals: goal -> its entries in this episode.
+        control_step: length of a control step [s].
+        design: (Q, N) rows of `objectives/design.py` for every particle.
+        strength, rest_length: (A',) of every part of actuators and forces; the first A have an activation. The unit of
+            a strength is the part's own; a length is in [m].
+        held: force [N] and moment [N m] of the boundaries that readers need (T+1, D+1) or (T+1, 6), by name: means over
+            each control step, which row 0 does not have (engine/reference/reactions.py).
+    """
+
+    x: Array
+    v: Array
+    C: Array
+    F: Array
+    activation: Array
+    goals: Mapping[str, Array]
+    control_step: float
+    design: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    held: Mapping[str, Array] = field(default_factory=dict)
+    strength: Array = field(default_factory=lambda: np.zeros(0))
+    rest_length: Array = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass
+class TrackBar:
+    """The cotangent of a track; None is zero."""
+
+    x: Array | None = None
+    v: Array | None = None
+    C: Array | None = None
+    F: Array | None = None
+    activation: Array | None = None
+    design: Array | None = None
+    held: dict[str, Array] | None = None
+    strength: Array | None = None
+    rest_length: Array | None = None

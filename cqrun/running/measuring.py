@@ -1,0 +1,127 @@
+"""Measure the quantities that a scene names, moment by moment, during a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cqrun.build.measures import bound_measures
+from cqrun.build.model import Built
+from cqrun.engine.model import Inputs
+from cqrun.errors import CrushedError
+from cqrun.measures.measure import BoundMeasure
+from cqrun.observers.track import Track
+from cqrun.plugin.contract import Array
+from cqrun.running.tables import number, table
+from cqrun.state import State
+from cqrun.store.measured import TABLE, MeasuredNumber, MeasuredQuantities, Quantity
+from cqrun.store.result import GradcheckResult, Result
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What a moment of a run depends on beside the state: design (Q, N), strengths and rest lengths of all parts."""
+
+    design: Array
+    strength: Array
+    rest_length: Array
+
+
+class Measuring:
+    """Collects the measured quantities of one run.
+
+    Args:
+        built: the scene.
+        values: numbers by path that replace the scene's.
+
+    Attributes:
+        bound: the quantities by name; empty if the scene names none.
+        late: those that are known only at the end, from what boundaries did.
+        found: all that was measured, after `end`; None if the scene names nothing.
+
+    Raises:
+        SceneError: a quantity does not fit the scene.
+    """
+
+    def __init__(self, built: Built, values: Mapping[str, Array] | None = None) -> None:
+        self.built = built
+        self.bound = bound_measures(built, values)
+        self.found: MeasuredQuantities | None = None
+        self.late = {name for name, chosen in built.scene.measure.items() if chosen.value.boundaries}  # type: ignore[attr-defined]
+        self._rows: dict[str, list[Array]] = {name: [] for name in self.bound if name not in self.late}
+
+    def look(self, state: State, inputs: Inputs, activation: Array) -> None:
+        """Measure at a moment.
+
+        Args:
+            state: of all particles.
+            inputs: of the run.
+            activation: (A,) that acted up to this moment; at the start, those that act first.
+        """
+        if not self._rows:
+            return
+        levels = Levels(self.built.assembly.design(inputs), inputs.strength, inputs.rest)
+        for name, rows in self._rows.items():
+            rows.append(_at(self.bound[name], state, levels, activation, self.built.scene.time.control_step))
+
+    def end(self, held: Mapping[str, Array], *, at_rest: bool = False) -> MeasuredQuantities | None:
+        """Return all that was measured; None if the scene names nothing.
+
+        Args:
+            held: force and moment of boundaries (T, D+1) or (T, 6), as in `Records.held`; empty if the run failed.
+            at_rest: whether the moments were points at rest.
+        """
+        if not self.bound:
+            return None
+        found = {name: self.bound[name].continuous(np.array(rows)) for name, rows in self._rows.items()}
+        moments = max([*map(len, found.values()), *(len(rows) for rows in held.values())], default=0)
+        step = 1.0 if at_rest else self.built.scene.time.control_step
+        for name in self.late:
+            found[name] = np.full((moments, len(self.bound[name].components)), np.nan)
+            if held:
+                found[name] = self.bound[name].values(_of_boundaries(held, moments, self.built.scene.dim, step))
+        quantities = {
+            name: Quantity(found[name], bound.components, bound.unit, bound.meaning)
+            for name, bound in self.bound.items()
+        }
+        self.found = MeasuredQuantities(step * np.arange(moments), quantities, at_rest)
+        return self.found
+
+
+def _at(bound: BoundMeasure, state: State, levels: Levels, activation: Array, control_step: float) -> Array:
+    """Return the numbers of a quantity at a moment (n,); NaN where a crushed part has no rotation."""
+    x, v, C, F = (
+        (bound.rows @ part.reshape(len(part), -1)).reshape(1, -1, *part.shape[1:])
+        for part in (state.x, state.v, state.C, state.F)
+    )
+    track = Track(
+        x, v, C, F, activation[None], {}, control_step, levels.design, {}, levels.strength, levels.rest_length
+    )  # fmt: skip
+    try:
+        return bound.values(track)[0]
+    except CrushedError:
+        return np.full(len(bound.components), np.nan)
+
+
+def _of_boundaries(held: Mapping[str, Array], moments: int, dim: int, control_step: float) -> Track:
+    """Return a track that knows what boundaries do, and no particles."""
+    none, matrices = np.zeros((moments, 0, dim)), np.zeros((moments, 0, dim, dim))
+    return Track(none, none, matrices, matrices, np.zeros((0, 0)), {}, control_step, held=held)
+
+
+def write_measured(run: Path, measuring: Measuring, result: Result) -> None:
+    """Write the table of what was measured, and put its summary into the result, if anything was measured."""
+    if measuring.found is not None and not isinstance(result, GradcheckResult):
+        measuring.found.write_table(run / TABLE)
+        result.measured = measuring.found.summary()
+
+
+def measured_lines(measured: Mapping[str, MeasuredNumber]) -> Iterator[str]:
+    """Yield the table of measured quantities for a terminal; nothing if there are none."""
+    if measured:
+        rows = [(name, m.unit, *map(number, (m.start, m.end, m.least, m.largest))) for name, m in measured.items()]
+        yield ""
+        yield from table(("measured", "unit", "at the start", "at the end", "least", "largest"), rows)

@@ -1,0 +1,151 @@
+"""Every measured quantity: its adjoint checked by differences of high order, on both sides of each kink."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_matter import N_ACTUATORS, box_around_left, made_matter, mismatch
+from made_tracks import FIELDS, a_track, bar_of, random_like
+
+from cqrun.measures.measure import BoundMeasure
+from cqrun.observers.matter import Matter
+from cqrun.observers.track import Track
+from cqrun.plugin.registry import plugins
+
+DIM = pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
+WEIGHTS = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))
+"""A central difference of order 8 (Fornberg, Math. Comp. 51, 1988)."""
+
+STEP = 1e-3
+"""Its error is near 1e-12 for these tracks, whose lengths are 0.1 and more, and rounding adds as much."""
+
+
+def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
+    """Return fields for each plug-in to test."""
+    point, place = [0.31, 0.28, 0.23][:dim], {"body": "arm", "region": box_around_left(dim)}
+    return {
+        "position": [{"body": "arm"}, {"body": "arm", "point": point}, place],
+        "displacement": [{"body": "arm", "group": "tip"}, {"body": "ball"}],
+        "velocity": [{"body": "arm", "group": "left"}, {"body": "arm", "point": point}],
+        "distance": [
+            {"body": "arm", "group": "tip", "to_group": "left"}, {"body": "arm", "to": "ball"},
+            {"body": "arm", "point": point, "position": [0.4, 0.5, 0.6][:dim]},
+            {"body": "ball", "to": "arm", "to_point": point},
+        ],
+        "rotation": [{"body": "arm"}, place],
+        "bend": [{"body": "arm", "group": "left", "to_group": "tip"}],
+        "strain": [{"body": "arm"}, place],
+        "stretch": [{"body": "arm"}, {"body": "arm", "group": "tip", "axis": [1.0, 2.0, -1.0][:dim]}],
+        "kinetic_energy": [{"body": "arm", "group": "tip"}, {"body": "ball"}],
+        "cable_length": [{"cable": "cable"}, {"spring": "spring"}],
+        "cable_tension": [{"cable": "cable"}, {"cable": "weight"}, {"spring": "spring"}],
+        "reaction": [{"boundary": "clamp"}, {"boundary": "floor", "of": "moment", "on": "boundary"}],
+    }  # fmt: skip
+
+
+CASES = [(name, k) for name, tried in examples(2).items() for k in range(len(tried))]
+EVERY = pytest.mark.parametrize(("name", "k"), CASES, ids=[f"{name}{k}" for name, k in CASES])
+
+
+def make(name: str, k: int, dim: int, matter: Matter | None = None) -> BoundMeasure:
+    spec = plugins("measure")[name].model_validate(examples(dim)[name][k])
+    return spec.bind(matter or made_matter(dim))
+
+
+def moved(value: Any, direction: Any, step: float) -> Any:
+    """Return an array, or a mapping of arrays, moved along a direction."""
+    if isinstance(value, dict):
+        return {name: moved(value[name], direction[name], step) for name in value}
+    return value + step * direction
+
+
+def adjoint_error(bound: BoundMeasure, track: Track, rng: np.random.Generator) -> float:
+    """Return the relative error of bar . (J d) = (J^T bar) . d."""
+    directions = {name: random_like(getattr(track, name), rng) for name in FIELDS}
+    bar = rng.normal(size=bound.values(track).shape)
+
+    def at(step: float) -> float:
+        tilted = replace(track, **{name: moved(getattr(track, name), d, step) for name, d in directions.items()})
+        return float(np.nansum(bar * bound.values(tilted)))
+
+    expected = sum(weight * (at(STEP * k) - at(-STEP * k)) for k, weight in WEIGHTS) / STEP
+    found = bound.values_vjp(track, bar)
+    parts = [bar_of(found, name, directions[name].shape) * directions[name] for name in FIELDS if name != "held"]
+    parts += [part * directions["held"][name] for name, part in (found.held or {}).items()]
+    return mismatch(sum(float(p.sum()) for p in parts), expected, sum(float(np.abs(p).sum()) for p in parts))
+
+
+def smooth_track(bound: BoundMeasure, dim: int, rng: np.random.Generator) -> Track:
+    """Return a track without near kinks: places apart, parts that turned by less than half a turn, taut cables."""
+    n_rows = bound.rows.shape[0]
+    track = a_track(n_rows, dim, rng)
+    x = np.arange(n_rows)[:, None] + 0.5 * track.x
+    if bound.unit == "rad":
+        c, s = np.cos(1.0), np.sin(1.0)
+        turn = np.eye(dim)
+        turn[:2, :2] = [[c, s], [-s, c]]
+        x = 0.05 * track.x + np.concatenate([np.eye(dim), turn])[-n_rows:]
+    activation = 0.2 + 0.1 * rng.uniform(size=track.activation.shape)
+    F = np.diag([1.3, 0.9, 1.1][:dim]) + 0.05 * track.F
+    return replace(track, x=x, F=F, activation=activation, rest_length=0.2 * track.rest_length)
+
+
+@EVERY
+@DIM
+def test_adjoint_is_that_of_the_values(name, k, dim):
+    rng, bound = np.random.default_rng([7, dim, k]), make(name, k, dim)
+    for _ in range(3):
+        assert adjoint_error(bound, smooth_track(bound, dim, rng), rng) < 1e-9
+
+
+def test_every_measured_quantity_is_tested():
+    assert set(examples(2)) == set(plugins("measure"))
+
+
+@EVERY
+@DIM
+def test_number_of_components_and_their_range_fit_the_values(name, k, dim):
+    rng, bound = np.random.default_rng(3), make(name, k, dim)
+    values = bound.values(smooth_track(bound, dim, rng))
+    assert values.shape[1] == len(bound.components) == len(bound.low) == len(bound.high)
+    assert len(set(bound.components)) == len(bound.components)
+    assert np.all(bound.low < bound.high)
+    assert bound.unit
+    assert bound.meaning
+
+
+@DIM
+@pytest.mark.parametrize("activation", [-0.3, 0.3])
+@pytest.mark.parametrize("taut", [True, False])
+def test_tension_of_a_cable_has_its_adjoint_on_each_side_of_its_kinks(dim, activation, taut):
+    rng, bound = np.random.default_rng(5), make("cable_tension", 0, dim)
+    track = smooth_track(bound, dim, rng)
+    rest = np.full(N_ACTUATORS + 1, 0.2 if taut or activation < 0 else 40.0)
+    track = replace(track, activation=np.full(track.activation.shape, activation), rest_length=rest)
+    values = bound.values(track)
+    assert np.all(values > 0) if taut or activation < 0 else not np.any(values)
+    if taut or activation < 0:
+        assert adjoint_error(bound, track, rng) < 1e-9
+    else:
+        found = bound.values_vjp(track, np.ones(values.shape))
+        assert not any(np.any(getattr(found, part)) for part in ("x", "activation", "strength", "rest_length"))
+
+
+@DIM
+def test_where_a_gradient_does_not_exist_it_is_zero(dim):
+    rng = np.random.default_rng(1)
+    gap = make("distance", 0, dim)
+    track = smooth_track(gap, dim, rng)
+    together = replace(track, x=np.repeat(track.x[:, :1], 2, axis=1))
+    assert not np.any(gap.values_vjp(together, np.ones((len(track.x), 1))).x)
+    line = make("cable_length", 0, dim)
+    once = replace(track, x=np.repeat(track.x[:, :1], 4, axis=1))
+    assert not np.any(line.values_vjp(once, np.ones((len(track.x), 1))).x)
+    if dim == 3:
+        bend, at_rest = make("bend", 0, dim), np.tile(np.eye(3), (7, 2, 1))
+        still = replace(track, x=at_rest)
+        assert not np.any(bend.values(still))
+        assert not np.any(bend.values_vjp(still, np.ones((7, 1))).x)

@@ -1,0 +1,193 @@
+"""Measured quantities in cases with known answers, and what they refuse."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, made_matter
+
+from cqrun.errors import CrushedError, UsageError
+from cqrun.measures.measure import BoundMeasure
+from cqrun.observers.track import Track
+from cqrun.plugin.registry import plugins
+
+TIMES = CONTROL_STEP * np.arange(N_CONTROLS + 1)
+DIM = pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
+
+
+def bound(name: str, dim: int, **fields: Any) -> BoundMeasure:
+    return plugins("measure")[name].model_validate(fields).bind(made_matter(dim))
+
+
+def motion(measure: BoundMeasure, dim: int, at: Any, *, v: Any = None, activation: float = 0.0) -> Track:
+    """Return a track in which every particle moves from its place at rest X to at(X, t), an affine map."""
+    matter = made_matter(dim)
+    x = np.array([at(matter.x, t) for t in TIMES])
+    origin, axes = np.zeros(dim), np.eye(dim)
+    F = np.array([(at(axes, t) - at(origin, t)).T for t in TIMES])  # its columns are the images of the axes
+    velocity = np.zeros(x.shape) if v is None else np.broadcast_to(v, x.shape)
+    rows = measure.rows
+    gradients = np.array([rows @ np.broadcast_to(f, (len(matter.x), dim, dim)).reshape(len(matter.x), -1) for f in F])
+    each = lambda field: np.array([rows @ frame for frame in field])  # noqa: E731
+    none = np.zeros((*gradients.shape[:2], dim, dim))
+    design = np.ones((4, len(matter.x)))
+    held = {"clamp": np.ones((len(TIMES), 3 if dim == 2 else 6))}
+    levels = np.full(N_ACTUATORS + 1, 3.0), np.full(N_ACTUATORS + 1, 0.25)
+    return Track(
+        each(x), each(velocity), none, gradients.reshape(none.shape),
+        np.full((N_CONTROLS, N_ACTUATORS), activation), {}, CONTROL_STEP, design, held, *levels,
+    )  # fmt: skip
+
+
+def turn(angle: float, dim: int) -> np.ndarray:
+    """Return the rotation from x to y by an angle."""
+    R = np.eye(dim)
+    R[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return R
+
+
+@DIM
+def test_a_point_of_the_material_moves_with_it(dim):
+    point, pull = np.array([0.31, 0.28, 0.23][:dim]), np.diag([1.5, 0.8, 0.9][:dim])
+    position = bound("position", dim, body="arm", point=point.tolist())
+    track = motion(position, dim, lambda X, t: X @ pull.T + t)
+    assert position.values(track) == pytest.approx(point @ pull.T + TIMES[:, None], abs=1e-12)
+    moved = bound("displacement", dim, body="arm", point=point.tolist())
+    assert moved.values(track) == pytest.approx(point @ pull.T - point + TIMES[:, None], abs=1e-12)
+
+
+@DIM
+def test_a_body_that_turns_several_times_has_counted_all_its_turns(dim):
+    rotation = bound("rotation", dim, body="arm")
+    rate = 2.5 / CONTROL_STEP  # 0.8 of half a turn in a control step, and more than two turns in all
+    values = rotation.values(motion(rotation, dim, lambda X, t: X @ turn(rate * t, dim).T))
+    about = np.array([1.0]) if dim == 2 else np.array([0.0, 0.0, 1.0])
+    assert values == pytest.approx(rate * TIMES[:, None] * about, abs=1e-12)
+    assert values.max() > 4 * np.pi
+
+
+@DIM
+def test_a_stretch_does_not_turn_a_body(dim):
+    rotation = bound("rotation", dim, body="arm")
+    pull = np.diag([1.7, 0.6, 1.1][:dim])
+    values = rotation.values(motion(rotation, dim, lambda X, t: (X @ pull.T) @ turn(0.4, dim).T))
+    expected = np.full((len(TIMES), 1), 0.4) if dim == 2 else np.tile([0.0, 0.0, 0.4], (len(TIMES), 1))
+    assert values == pytest.approx(expected, abs=1e-12)
+
+
+@DIM
+def test_bend_is_the_turn_of_one_group_relative_to_another(dim):
+    bend, x = bound("bend", dim, body="arm", group="left", to_group="tip"), made_matter(dim).x
+
+    def bent(X: np.ndarray, t: float) -> np.ndarray:
+        both = X @ turn(0.3, dim).T  # the whole body turns, which is no bending
+        return np.where(X[..., :1] > 0.4, both @ turn(4.0 * t, dim).T, both)
+
+    track = motion(bend, dim, lambda X, t: bent(X, t) if X.shape == x.shape else X)
+    assert bend.values(track)[:, 0] == pytest.approx(4.0 * TIMES, abs=1e-12)
+
+
+@DIM
+def test_strain_and_stretch_of_a_uniform_stretch(dim):
+    pull = np.diag([1.2, 0.9, 0.95][:dim])
+    strain = bound("strain", dim, body="arm")
+    track = motion(strain, dim, lambda X, t: (X @ pull.T) @ turn(t, dim).T)
+    diagonal = 0.5 * (np.diag(pull) ** 2 - 1.0)
+    expected = np.concatenate([diagonal, np.zeros(1 if dim == 2 else 3)])
+    assert strain.values(track) == pytest.approx(np.tile(expected, (len(TIMES), 1)), abs=1e-12)
+    along = bound("stretch", dim, body="arm", axis=[0.0, 3.0, 0.0][:dim])
+    assert along.values(track) == pytest.approx(0.9, abs=1e-12)
+    principal = bound("stretch", dim, body="arm")
+    assert principal.values(track) == pytest.approx(np.tile(sorted(np.diag(pull))[::-1], (len(TIMES), 1)), abs=1e-12)
+
+
+@DIM
+def test_distance_energy_and_velocity_of_a_moving_body(dim):
+    v = np.array([0.3, -0.4, 0.0][:dim])
+    speed = bound("velocity", dim, body="ball")
+    assert speed.values(motion(speed, dim, lambda X, t: X, v=v)) == pytest.approx(np.tile(v, (len(TIMES), 1)))
+    energy = bound("kinetic_energy", dim, body="ball")
+    n = len(made_matter(dim).members("ball"))
+    assert energy.values(motion(energy, dim, lambda X, t: X, v=v)) == pytest.approx(0.5 * n * 0.25)
+    gap = bound("distance", dim, body="arm", point=[0.3] * dim, position=[0.3, 0.1, 0.3][:dim])
+    track = motion(gap, dim, lambda X, t: X + np.array([0.0, t, 0.0][:dim]))
+    assert gap.values(track)[:, 0] == pytest.approx(0.2 + TIMES, abs=1e-12)
+
+
+@DIM
+def test_tension_is_that_of_the_law_of_the_cable(dim):
+    matter = made_matter(dim)
+    along = matter.x[[0, 3, 5, 1]]
+    length = float(np.linalg.norm(np.diff(along, axis=0), axis=1).sum())
+    route = bound("cable_length", dim, cable="cable")
+    assert route.values(motion(route, dim, lambda X, t: X)) == pytest.approx(length)
+    cable, weight = bound("cable_tension", dim, cable="cable"), bound("cable_tension", dim, cable="weight")
+    still = lambda X, t: X  # noqa: E731
+    taut = motion(cable, dim, still, activation=0.5)
+    assert cable.values(taut) == pytest.approx(3.0 * (length - 0.5 * 0.25))
+    assert cable.values(motion(cable, dim, still, activation=100.0)) == pytest.approx(0.0)
+    assert weight.values(motion(weight, dim, still, activation=0.5)) == pytest.approx(1.5)
+    spring = bound("cable_tension", dim, spring="spring")
+    length = float(np.linalg.norm(np.diff(along[1:], axis=0), axis=1).sum())
+    assert spring.values(motion(spring, dim, still)) == pytest.approx(3.0 * (length - 0.25))
+
+
+def test_the_activation_of_a_moment_is_the_one_that_led_to_it():
+    weight = bound("cable_tension", 2, cable="weight")
+    track = motion(weight, 2, lambda X, t: X)
+    track.activation[:, 2] = np.arange(N_CONTROLS)
+    assert weight.values(track)[:, 0] == pytest.approx(3.0 * np.array([0, *range(N_CONTROLS)]))
+
+
+@DIM
+def test_a_reaction_has_no_value_at_the_start(dim):
+    held = bound("reaction", dim, boundary="clamp", on="boundary")
+    values = held.values(motion(held, dim, lambda X, t: X))
+    assert np.isnan(values[0]).all()
+    assert values[1:] == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "message"),
+    [
+        ("position", {"body": "arm", "point": [0.9, 0.9]}, "not inside the body 'arm': its nearest particle, at"),
+        ("position", {"body": "arm", "group": "hand"}, "no group of the body 'arm' called 'hand'"),
+        ("distance", {"body": "arm", "to_group": "hand"}, "no group of the body 'arm' called 'hand'"),
+        ("cable_length", {"cable": "muscle"}, "'muscle' is not a cable or a spring; there are: cable, weight, spring"),
+    ],
+)
+def test_what_does_not_fit_the_scene_is_refused_with_what_would(name, fields, message):
+    with pytest.raises(UsageError, match=message):
+        bound(name, 2, **fields)
+
+
+def test_a_part_without_extent_has_no_rotation():
+    matter = made_matter(3)
+    line = {"arm": {"line": np.flatnonzero((matter.x[:24, 1] < 0.25) & (matter.x[:24, 2] < 0.25))}, "ball": {}}
+    matter = type(matter)(**{**vars(matter), "groups": line})
+    spec = plugins("measure")["rotation"].model_validate({"body": "arm", "group": "line"})
+    with pytest.raises(UsageError, match="on one line, so they have no rotation"):
+        spec.bind(matter)
+
+
+def test_a_crushed_part_has_no_rotation():
+    rotation = bound("rotation", 2, body="arm")
+    with pytest.raises(CrushedError):
+        rotation.values(motion(rotation, 2, lambda X, t: 0.0 * X))
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "message"),
+    [
+        ("position", {"body": "arm", "group": "tip", "point": [0.1, 0.1]}, "takes one of group, point, not both"),
+        ("distance", {"body": "arm"}, "needs exactly one other place"),
+        ("distance", {"body": "arm", "to": "ball", "position": [0.1, 0.1]}, "needs exactly one other place"),
+        ("cable_length", {}, "needs one of `cable` and `spring`; has neither"),
+        ("cable_tension", {"cable": "a", "spring": "b"}, "needs one of `cable` and `spring`; has both"),
+    ],
+)
+def test_contradictions_are_refused(name, fields, message):
+    with pytest.raises(ValueError, match=message):
+        plugins("measure")[name].model_validate(fields)
