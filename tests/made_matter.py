@@ -9,7 +9,11 @@ import numpy as np
 
 from cqrun.actuators.cable import Cable
 from cqrun.forces.spring import Spring
-from cqrun.observers.matter import Matter, Route
+from cqrun.materials.fixed_corotated import FixedCorotated
+from cqrun.materials.incompressibility import Incompressibility
+from cqrun.materials.neo_hookean import NeoHookean
+from cqrun.materials.viscosity import Viscosity
+from cqrun.observers.matter import Material, Matter, Route
 from cqrun.plugin.registry import plugins
 
 STEP = 1e-30
@@ -38,8 +42,18 @@ def made_matter(dim: int) -> Matter:
         {"target": dim, "pace": 1}, N_ACTUATORS, design=1.5 + np.linspace(0.0, 1.0, 4 * len(x)).reshape(4, -1),
         recorded=lambda file, units, marker: (np.linspace(0.0, 0.4, 9), seen), neutral=np.array([0.0, 1.0, 0.5]),
         measures=made_measures(dim), spacing={"arm": 0.1, "ball": 0.05}, routes=made_routes(dim),
-        n_parts=N_ACTUATORS + 1,
+        n_parts=N_ACTUATORS + 1, materials=made_materials(len(arm)), room=np.linspace(0.5, 1.0, len(x)),
     )  # fmt: skip
+
+
+def made_materials(n_arm: int) -> dict[str, Material]:
+    """Return the materials of both bodies: each law, and each further term, in one of them."""
+    soft = NeoHookean(youngs_modulus=2.0, poissons_ratio=0.3), Viscosity(shear=0.4, bulk=0.2)
+    firm = FixedCorotated(youngs_modulus=2.0, poissons_ratio=0.3), Incompressibility(power=4)
+    return {
+        "arm": Material(0, 0, [term.kernel_term for term in soft]),
+        "ball": Material(1, n_arm, [term.kernel_term for term in firm]),
+    }
 
 
 def made_routes(dim: int) -> dict[str, Route]:
@@ -74,6 +88,8 @@ def moved(value: Any, direction: Any) -> Any:
     """Return an array, or a mapping of arrays, with an imaginary part along a direction."""
     if isinstance(value, dict):
         return {name: moved(value[name], direction[name]) for name in value}
+    if isinstance(value, list):
+        return [moved(each, along) for each, along in zip(value, direction, strict=True)]
     return value + 1j * STEP * direction
 
 

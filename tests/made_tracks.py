@@ -10,7 +10,7 @@ from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, made_matter, mism
 
 from cqrun.observers.track import Track, TrackBar
 
-FIELDS = ("x", "v", "C", "F", "activation", "design", "held", "strength", "rest_length")
+FIELDS = ("x", "v", "C", "F", "activation", "design", "held", "strength", "rest_length", "terms")
 
 
 def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
@@ -19,8 +19,14 @@ def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
     activation, design = rng.normal(size=(N_CONTROLS, N_ACTUATORS)), rng.normal(size=(4, made_matter(dim).n_particles))
     motion = 0.3 * draw(dim), draw(dim), draw(dim, dim), draw(dim, dim)
     strength, rest = 2.0 + rng.uniform(size=N_ACTUATORS + 1), 1.0 + 0.2 * rng.uniform(size=N_ACTUATORS + 1)
+    n_arm = len(made_matter(dim).members("arm"))
+    n_ball = design.shape[1] - n_arm
+    terms = [
+        [np.array([[2.0], [0.3]]) + 0.05 * rng.uniform(size=(2, n)), np.array([[0.5], [0.2]]) + np.zeros((2, n))]
+        for n in (n_arm, n_ball)
+    ]
     return Track(
-        *motion, activation, goals, CONTROL_STEP, 2.0 + 0.1 * design, a_reaction(dim, rng), strength, rest
+        *motion, activation, goals, CONTROL_STEP, 2.0 + 0.1 * design, a_reaction(dim, rng), strength, rest, terms
     )  # fmt: skip
 
 
@@ -35,16 +41,27 @@ def adjoint_error(value: Any, value_vjp: Any, track: Track, rng: np.random.Gener
     tilted = replace(track, **{name: moved(getattr(track, name), directions[name]) for name in FIELDS})
     bar = rng.normal()
     found = value_vjp(track, bar)
-    parts = [bar_of(found, name, directions[name].shape) * directions[name] for name in FIELDS if name != "held"]
-    parts += [bar * directions["held"][name] for name, bar in (found.held or {}).items()]
+    parts = products_of(found, directions)
     expected = slope(lambda: value(tilted), bar)
     return mismatch(sum(float(p.sum()) for p in parts), expected, sum(float(np.abs(p).sum()) for p in parts))
+
+
+def products_of(bar: TrackBar, directions: dict[str, Any]) -> list[np.ndarray]:
+    """Return the products of a cotangent's numbers with those of the directions."""
+    plain = [name for name in FIELDS if name not in ("held", "terms")]
+    parts = [bar_of(bar, name, directions[name].shape) * directions[name] for name in plain]
+    parts += [part * directions["held"][name] for name, part in (bar.held or {}).items()]
+    for group, along in zip(bar.terms or [], directions["terms"], strict=False):
+        parts += [part * direction for part, direction in zip(group, along, strict=True)]
+    return parts
 
 
 def random_like(value: Any, rng: np.random.Generator) -> Any:
     """Return random numbers in the form of an array, or of a mapping of arrays."""
     if isinstance(value, dict):
         return {name: rng.normal(size=each.shape) for name, each in value.items()}
+    if isinstance(value, list):
+        return [random_like(each, rng) for each in value]
     return rng.normal(size=value.shape)
 
 

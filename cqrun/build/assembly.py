@@ -24,6 +24,7 @@ from cqrun.explain import listed
 from cqrun.loads.gravity import Gravity
 from cqrun.loads.load import Load
 from cqrun.objectives.design import DESIGN, MASS, RATIO, STIFFNESS, VOLUME
+from cqrun.observers.track import TrackBar
 from cqrun.plugin.contract import Array, Plugin, is_differentiable
 from cqrun.scene.schema import Scene
 from cqrun.scene.world_and_time import BodyContact
@@ -251,6 +252,18 @@ class Assembly:
         for quantity, part, g, row, columns in self._elastic_rows():
             out[quantity, part] = inputs.terms[g][0][row, columns]
         return out
+
+    def add_beside(self, bar: Inputs, beside: TrackBar) -> None:
+        """Add to the cotangent of the inputs what terms and quantities depend on directly, and not by the motion."""
+        if beside.design is not None:
+            self.add_design_bar(bar, beside.design)
+        if beside.strength is not None:
+            bar.strength += beside.strength
+        if beside.rest_length is not None:
+            bar.rest += beside.rest_length
+        for group, more in zip(bar.terms, beside.terms or (), strict=False):
+            for theta_bar, part in zip(group, more, strict=True):
+                theta_bar += part
 
     def add_design_bar(self, bar: Inputs, design_bar: Array) -> None:
         """Add the contribution of the design's cotangent (Q, N) to the cotangent of the inputs."""

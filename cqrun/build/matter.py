@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from cqrun.build.model import Built
-from cqrun.observers.matter import Matter, Route
+from cqrun.observers.matter import Material, Matter, Route
 from cqrun.plugin.contract import Array
 from cqrun.store.recordings import marker_path
 
@@ -34,8 +34,22 @@ def matter_of(built: Built, starts: Mapping[str, Array]) -> Matter:
         spacing=particles.spacing,
         n_parts=len(built.assembly.actuation.every),
         routes=_routes(built),
+        materials=_materials(built),
+        terms=inputs.terms,
+        averaged=built.model.averaged,
+        room=particles.room,
         measures={name: chosen.value for name, chosen in scene.measure.items()},  # type: ignore[misc]
     )
+
+
+def _materials(built: Built) -> dict[str, Material]:
+    """Return where the parameters of each body's material are."""
+    names = built.particles.names
+    return {
+        names[k]: Material(g, built.particles.of(names[group.bodies[0]]).start, group.kernel_terms)
+        for g, group in enumerate(built.model.groups)
+        for k in group.bodies
+    }
 
 
 def _routes(built: Built) -> dict[str, Route]:

@@ -48,7 +48,7 @@ def _no_distances(scene: Scene, terms: Mapping[str, Any], track: Track, objectiv
     """Yield problems of terms whose smallest value is not 0, or that do not depend on the motion only."""
     for name, term in terms.items():
         bar = objective.values_vjp(track, {name: 1.0})
-        if any(part is not None for part in (bar.activation, bar.design, bar.strength, bar.rest_length)):
+        if any(part is not None for part in (bar.activation, bar.design, bar.strength, bar.rest_length, bar.terms)):
             message = "sysid takes only terms of the motion; `cqrun control` and `cqrun codesign` also take this one"
             yield _problem(scene, name, message)
         elif term.sense < 0 or term.least != 0 or term.weight <= 0:
@@ -71,7 +71,10 @@ class Wanted(Comparison):
         nothing, matter = np.zeros((self.matter.n_controls, self.matter.n_actuators)), self.matter
         x, v, C, F = records
         parts = np.zeros(matter.n_parts)  # terms of strengths are refused
-        return Track(x, v, C, F, nothing, self.goals, matter.control_step, matter.design, records.held, parts, parts)
+        return Track(
+            x, v, C, F, nothing, self.goals, matter.control_step, matter.design, records.held, parts, parts,
+            matter.terms,
+        )  # fmt: skip
 
     def wanted(self) -> dict[str, Any]:
         """Return the goal positions [m] for the attributes of a trajectory."""

@@ -20,44 +20,41 @@ A run directory gives its scene and the values that it found:
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cqrun.build.model import Built, build, stable
+from cqrun.build.model import Built, build
 from cqrun.controllers.saved import read_controller
-from cqrun.design.params import Block
 from cqrun.engine.frames import make_rollout
+from cqrun.engine.model import Model
 from cqrun.engine.rollout import Rollout
-from cqrun.errors import SceneError, UsageError
+from cqrun.errors import UsageError
 from cqrun.explain import listed, shown, suggest
 from cqrun.fitting.cases import given_cases, make_cases
 from cqrun.fitting.problem import FitProblem
+from cqrun.jobs.given_values import GivenValues, Values, numbers_of, plain, require_stable
 from cqrun.learning.agent import CONTROLLER, FILE, Agent
 from cqrun.learning.episodes import EpisodeProblem, has_episodes
 from cqrun.optimizers.base import one_blas_thread
 from cqrun.plugin.contract import Array
+from cqrun.running.measuring import Measuring
 from cqrun.running.runs import scene_in
 from cqrun.running.threads import checked_threads, cores
 from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
-from cqrun.scene.paths import canonical, leaf, leaves, require_possible
 from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import body_of, groups_of
 from cqrun.state import State
 from cqrun.store.result import read_result, values_in
 from cqrun.store.run import read_record
 
-Values = Mapping[str, Any]
-"""Key path -> number, or an array with one number per group or particle of the body; `controller.<block>` -> array.
-
-Values that follow an unknown (`also`) follow it here too, unless they are given; a single number applies to all.
-"""
+if TYPE_CHECKING:
+    from cqrun.jobs.own_loss import OwnLoss
 
 
 @dataclass(frozen=True)
@@ -70,6 +67,7 @@ class Motion:
         v: velocities (T + 1, N, D) [m/s].
         bodies: each body's slice of the N particles.
         activation: activations of the actuators' A parts in every control step (T, A).
+        measured: quantities that the scene measures, by name: (T + 1, n), NaN where one has no value.
     """
 
     time: Array
@@ -77,6 +75,7 @@ class Motion:
     v: Array
     bodies: dict[str, slice]
     activation: Array
+    measured: dict[str, Array] = field(default_factory=dict)
 
 
 class Experiment:
@@ -89,6 +88,7 @@ class Experiment:
 
     Attributes:
         built: the scene's particles and model.
+        agent: what drives the actuators; None without a controller.
         params: start values by key path: first the controller's parameters, if there is a controller, as
             `controller.<block>` with the shape of the block, such as (A, observations) for the weights of `linear_tanh`
             with A actuator parts; then the unknowns, as arrays if they have one number per group or particle.
@@ -103,12 +103,13 @@ class Experiment:
         self._auto = scene.time.substeps == "auto"
         self.built: Built = build(scene)
         self.threads = cores(threads)
-        self._agent = None if self.scene.controller is None else Agent(self.built, trained)
+        self.agent = None if self.scene.controller is None else Agent(self.built, trained)
         self._episodes: EpisodeProblem | None = None
-        if self._agent is not None and has_episodes(self.scene):
-            self._episodes = EpisodeProblem(self._agent, threads=self.threads)
-        self._params = make_params(self.built) if self._agent is None else self._agent.params
-        self.params: dict[str, Any] = {b.path: _plain(b.initial) for b in self._params.blocks}
+        if self.agent is not None and has_episodes(self.scene):
+            self._episodes = EpisodeProblem(self.agent, threads=self.threads)
+        self._params = make_params(self.built) if self.agent is None else self.agent.params
+        self._given = GivenValues(self.built, self._params, self._auto)
+        self.params: dict[str, Any] = {b.path: plain(b.initial) for b in self._params.blocks}
 
     @property
     def scene(self) -> Scene:
@@ -128,7 +129,7 @@ class Experiment:
             raise UsageError("found: this scene has no run; load a run directory, results/<scene>/<12 hex digits>")
         values = _found_in(self._run)
         followers = {f.path for b in self._params.blocks for f in b.followers}
-        params = {p: _plain(np.array(v, float)) for p, v in values.items() if p not in followers}
+        params = {p: plain(np.array(v, float)) for p, v in values.items() if p not in followers}
         if not params:
             record = read_record(self._run)
             raise UsageError(f"{self._run}: found nothing (a run of {record.get('job')}, {record['status']})")
@@ -158,23 +159,23 @@ class Experiment:
 
     def _value_and_grad(self, params: Values | None) -> tuple[float, dict[str, Any], dict[str, Any]]:
         if self._episodes is not None:
-            loss, gradient, aux = _of_episodes(self._episodes, self._stable(params))
-            return loss, self._with_followers(gradient, params), aux
+            loss, gradient, aux = _of_episodes(self._episodes, self._given.stable(params))
+            return loss, self._given.with_followers(gradient, params), aux
         if self.scene.data is None and not self.scene.objective:
             raise UsageError(
                 "this scene has neither `data` nor an `objective`, so there is no loss: add one, or use simulate()"
             )
         if self.scene.predicts_only:
             raise UsageError("every recording is held out, so there is no loss: fit one of them, or use simulate()")
-        problem, values = self._problem, self._stable(params)
+        problem, values = self._problem, self._given.stable(params)
         for case in problem.cases if params and self._auto else ():
             if not case.points:
-                _require_stable(case.built, case.own_values(values))
+                require_stable(case.built, case.own_values(values))
         problem.require_reached(values)
         losses, gradient = problem.losses_and_gradient(values)
         effort = {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak}
         aux = {"losses": losses, "gradient": effort}
-        return float(sum(losses.values())), self._with_followers(gradient, params), aux
+        return float(sum(losses.values())), self._given.with_followers(gradient, params), aux
 
     def simulate(self, params: Values | None = None, goals: Mapping[str, Any] | None = None) -> Motion:
         """Run the scene forward, with its controller if it has one.
@@ -190,124 +191,97 @@ class Experiment:
         n, dim = self.built.particles.x.shape
         x, v = np.zeros((n_controls + 1, n, dim)), np.zeros((n_controls + 1, n, dim))
 
+        measuring = Measuring(self.built)
+
         def keep(control: int, state: State) -> None:
             x[control], v[control] = state.x, state.v
+            measuring.look(state, rollout.inputs, rollout.activation[max(control - 1, 0)])
 
-        rollout = self._rollout(self._stable(params), {} if goals is None else goals)
+        rollout = self.rollout_of(self.stable_values(params), self.chosen_goals(goals))
         with one_blas_thread():
-            rollout.run(keep)
+            records = rollout.run(keep)
+        measured = measuring.end(records.held)
         particles = self.built.particles
         bodies = {name: particles.of(name) for name in particles.names}
-        return Motion(np.arange(n_controls + 1) * step, x, v, bodies, rollout.activation.copy())
+        found = {} if measured is None else {name: q.values for name, q in measured.quantities.items()}
+        return Motion(np.arange(n_controls + 1) * step, x, v, bodies, rollout.activation.copy(), found)
 
-    def _rollout(self, values: dict[str, Array], goals: Mapping[str, Any]) -> Rollout:
-        if not isinstance(goals, Mapping):
+    def vjp(
+        self, params: Values | None = None, *, goals: Mapping[str, Any] | None = None, **bars: Array
+    ) -> dict[str, Any]:
+        """Return the gradient of a loss whose derivatives by the motion are known.
+
+        Args:
+            params: values by key path, as for `value_and_grad`.
+            goals: as for `simulate`.
+            bars: `x_bar` (T + 1, N, D), `v_bar`, `F_bar` (T + 1, N, D, D), `activation_bar` (T, A): derivatives of the
+                loss by what `simulate` returns; `NAME_bar` (T + 1, n) for a quantity NAME of the section `measure`.
+
+        Returns:
+            The derivatives by every unknown, every parameter of the controller and every number in `params`.
+
+        Raises:
+            UsageError: a path, a name or a shape is wrong. RolloutError: the scene blows up.
+        """
+        from cqrun.jobs.own_loss import vjp
+
+        wrong = [name for name in bars if not name.endswith("_bar")]
+        if wrong or not bars:
+            raise UsageError(f"vjp takes derivatives as x_bar, v_bar or NAME_bar{f', not {wrong[0]}' if wrong else ''}")
+        return vjp(self, params, {name.removesuffix("_bar"): bar for name, bar in bars.items()}, goals)
+
+    def loss(self, function: Callable[..., Any], of: Sequence[str] | None = None, backend: str = "numpy") -> OwnLoss:
+        """Return a function of the motion as a loss, with `value_and_grad(params)`; see `OwnLoss`.
+
+        Args:
+            function: takes arrays by the names of its arguments: quantities of the section `measure`, `x`, `v`, `F`,
+                `activation` or `time`. It returns (loss, {name: derivative}), or a scalar of the backend.
+            of: names of the arrays, if they differ from those of the arguments.
+            backend: numpy, torch or jax.
+
+        Raises:
+            UsageError: a name is not known, or the package of the backend is missing.
+        """
+        from cqrun.jobs.own_loss import OwnLoss
+
+        return OwnLoss(self, function, of, backend)
+
+    # --- for losses of one's own ----------------------------------------------------------------------------------
+
+    def stable_values(self, params: Values | None) -> dict[str, Array]:
+        """Return all values by key path; raise UsageError if some are wrong, or not stable with the substep."""
+        return self._given.stable(params)
+
+    def with_followers(self, gradient: dict[str, Array], params: Values | None) -> dict[str, Any]:
+        """Return a gradient with the parts of followers added to their unknowns."""
+        return self._given.with_followers(gradient, params)
+
+    def chosen_goals(self, goals: Mapping[str, Any] | None) -> dict[str, Array]:
+        """Return all goals, by default in the middle of their ranges; raise UsageError if one is wrong."""
+        if not isinstance(goals, Mapping | None):
             raise UsageError(f"goals must be a mapping from goals to their entries, is {shown(goals)}")
-        chosen = {} if self._agent is None else dict(self._agent.goals_in_the_middle)
-        for name, entries in goals.items():
+        chosen = {} if self.agent is None else dict(self.agent.goals_in_the_middle)
+        for name, entries in (goals or {}).items():
             if name not in chosen:
                 raise UsageError(f"goals: there is no '{name}'{suggest(name, chosen)}; there are: {listed(chosen)}")
-            goal = _numbers(f"goals: '{name}'", entries)
+            goal = numbers_of(f"goals: '{name}'", entries)
             if goal.shape != chosen[name].shape or not np.isfinite(goal).all():
                 raise UsageError(f"goals: '{name}' must be {len(chosen[name])} finite numbers, is {entries!r}")
             chosen[name] = goal
-        if self._agent is not None:
-            return self._agent.rollout(values, chosen, self.threads)
-        return make_rollout(self.built.model, self.built.assembly.inputs(values), threads=self.threads)
+        return chosen
+
+    def rollout_of(
+        self, values: dict[str, Array], goals: Mapping[str, Array], *, model: Model | None = None, adjoint: bool = False
+    ) -> Rollout:
+        """Return a rollout that has not run yet, perhaps with another model."""
+        if self.agent is not None:
+            return self.agent.rollout(values, goals, self.threads, adjoint=adjoint, model=model)
+        inputs = self.built.assembly.inputs(values)
+        return make_rollout(model or self.built.model, inputs, threads=self.threads, adjoint=adjoint)
 
     @cached_property
     def _problem(self) -> FitProblem:
         return FitProblem(given_cases(self.built) or make_cases(self.built), self._params, threads=self.threads)
-
-    def _values(self, params: Values | None) -> dict[str, Array]:
-        if not isinstance(params, Mapping | None):
-            raise UsageError(f"params must be a mapping from key paths to values, is {shown(params)}")
-        given: dict[str, Array] = {}
-        for path, value in (params or {}).items():
-            full = self._full_path(path)
-            given[full] = self._shaped(full, _numbers(path, value))
-        self._require_legal(given)
-        values = {b.path: b.initial.copy() for b in self._params.blocks} | given
-        for block in self._params.blocks:
-            for follower in block.followers:
-                if follower.path not in given:
-                    values[block.path] = _followed(block, values[block.path])
-                    values[follower.path] = follower.of(values[block.path])
-        return values
-
-    def _require_legal(self, given: Mapping[str, Array]) -> None:
-        """Raise UsageError for values that the scene refuses; check the smallest and largest number of arrays."""
-        of_scene = {path: value for path, value in given.items() if not path.startswith(CONTROLLER)}
-        for end in (np.min, np.max) if any(value.ndim for value in of_scene.values()) else (np.min,):
-            try:
-                require_possible(self.scene, {path: float(end(value)) for path, value in of_scene.items()})
-            except SceneError as error:
-                raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
-
-    def _stable(self, params: Values | None) -> dict[str, Array]:
-        """Return all values; raise UsageError if they are not stable with the substep that `auto` has chosen.
-
-        A number of substeps that the scene gives is not checked: unsuitable values blow up.
-        """
-        values = self._values(params)
-        if params and self._auto:
-            _require_stable(self.built, {p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
-        return values
-
-    def _with_followers(self, gradient: dict[str, Array], params: Values | None) -> dict[str, Any]:
-        """Return the gradient with the parts of followers added to their unknowns, unless a follower was given."""
-        given = {self._full_path(path) for path in params or {}}
-        for block in self._params.blocks:
-            for follower in block.followers:
-                if follower.path not in given:
-                    gradient[block.path] = gradient[block.path] + follower.of_vjp(gradient.pop(follower.path))
-        return {path: _plain(bar) for path, bar in gradient.items()}
-
-    def _full_path(self, path: str) -> str:
-        """Return the long form of a path that gradients reach."""
-        if not isinstance(path, str):
-            raise UsageError(f"params: a key path is text, such as 'world.gravity.1', not {shown(path)}")
-        if path.startswith(CONTROLLER):
-            blocks = [b.path for b in self._params.blocks if b.path.startswith(CONTROLLER)]
-            if path in blocks:
-                return path
-            raise UsageError(f"{path}: no block of the controller{suggest(path, blocks)}; there are: {listed(blocks)}")
-        reached = list(leaves(self.scene, differentiable=True))
-        try:
-            if leaf(self.scene, path).differentiable:
-                return canonical(self.scene, path)
-        except SceneError as error:
-            raise UsageError(f"{path}: {error.problems[0].message}") from None
-        raise UsageError(f"{path}: no gradient reaches it{suggest(path, reached)}; there are: {listed(reached)}")
-
-    def _shaped(self, path: str, value: Array) -> Array:
-        """Check a value: its shape is a block's, (), or for materials and weights one number per group or particle."""
-        keys = path.split(".")
-        legal: list[tuple[int, ...]] = [()]
-        if path.startswith(CONTROLLER):
-            legal = [b.initial.shape for b in self._params.blocks if b.path == path]
-        elif (keys[0] == "bodies" and keys[2] == "material") or (keys[0] == "actuators" and keys[-1] == "weight"):
-            part, groups = self.built.particles.of(body_of(self.scene, path)), len(groups_of(self.scene, path))
-            legal += [(part.stop - part.start,), *[(groups,)] * (groups > 0)]
-        if value.shape not in legal:
-            raise UsageError(f"{path}: a value of shape {value.shape}; it must be one of {listed(map(str, legal))}")
-        if not np.isfinite(value).all():
-            raise UsageError(f"{path}: must be finite, is {value}")
-        return value
-
-
-def _require_stable(built: Built, values: dict[str, Array]) -> None:
-    """Raise UsageError if values by path are not stable with the substep of a scene."""
-    try:
-        least, needed = stable(built, values)
-    except SceneError as error:
-        raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
-    if built.model.dt > least.dt:
-        raise UsageError(
-            f"{least.part}: with these values the largest stable substep is {least.dt:.3g} s, but `auto` has "
-            f"chosen {built.model.dt:.3g} s for the scene: load it with time.substeps={needed}, or make what "
-            "changes an unknown with bounds that contain these values"
-        )
 
 
 def _of_episodes(problem: EpisodeProblem, values: dict[str, Array]) -> tuple[float, dict[str, Array], dict[str, Any]]:
@@ -324,35 +298,12 @@ def _of_episodes(problem: EpisodeProblem, values: dict[str, Array]) -> tuple[flo
     return float(np.mean([a.loss for a in attempts])), gradient, aux
 
 
-def _followed(block: Block, value: Array) -> Array:
-    """Return the value of an unknown with followers in its full shape; a single number applies to all entries."""
-    if value.shape not in ((), block.initial.shape):
-        some = f" or of shape {block.initial.shape}" if block.initial.ndim else ""
-        others = listed(follower.path for follower in block.followers)
-        raise UsageError(
-            f"{block.path}: a value of shape {value.shape}; it must be a number{some}, for {others} to follow"
-        )
-    return np.array(np.broadcast_to(value, block.initial.shape))
-
-
 def _found_in(run: Path) -> dict[str, Any]:
     """Return the values that a run has found by path, from its controller's file or its result."""
     if (run / FILE).is_file():
         parameters, meta = read_controller(run / FILE)
         return {CONTROLLER + name: value for name, value in parameters.items()} | meta.get("unknowns", {})
     return dict(values_in(read_result(run)))
-
-
-def _numbers(path: str, value: Any) -> Array:
-    try:
-        return np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise UsageError(f"{path}: must be a number or an array of numbers, is {shown(value)}") from None
-
-
-def _plain(value: Array) -> Any:
-    """Return a 0-dimensional array as a number, another as a copy."""
-    return float(value) if np.ndim(value) == 0 else np.array(value)
 
 
 def load(

@@ -20,7 +20,7 @@ from cqrun.controllers.policy import ControlPolicy, Limits
 from cqrun.controllers.saved import load_controller, read_controller, save_controller
 from cqrun.design.params import Block, Params, Plain
 from cqrun.engine.frames import make_rollout
-from cqrun.engine.model import Inputs, LossBar, Records
+from cqrun.engine.model import Inputs, LossBar, Model, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
@@ -240,15 +240,21 @@ class Agent:
         """Return the goal positions [m] for the attributes of a trajectory."""
         return self.objective.wanted(goals)
 
-    def rollout(self, values: Values, goals: Goals, threads: int, *, adjoint: bool = False) -> Rollout:
-        """Return a rollout with the policy and these values, which has not run yet."""
+    def rollout(
+        self, values: Values, goals: Goals, threads: int, *, adjoint: bool = False, model: Model | None = None
+    ) -> Rollout:
+        """Return a rollout with the policy and these values, which has not run yet.
+
+        Args:
+            model: replaces the agent's, whose rows must be the first of its probe.
+        """
         parameters = {p.removeprefix(CONTROLLER): v for p, v in values.items() if p.startswith(CONTROLLER)}
         policy = ControlPolicy(
             self.observation, self.controller, parameters, self.limits, goals, self.matter.control_step, self.model.dim
         )
         inputs = self.built.assembly.inputs({p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
         inputs.state.memory = policy.memory.copy()
-        return make_rollout(self.model, inputs, threads=threads, adjoint=adjoint, policy=policy)
+        return make_rollout(model or self.model, inputs, threads=threads, adjoint=adjoint, policy=policy)
 
     def track(
         self, records: Records, rollout: Rollout, goals: Goals, *, activation: Array | None = None,
@@ -260,6 +266,7 @@ class Agent:
             records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at],
             rollout.activation if activation is None else activation, goals, self.matter.control_step,
             self.built.assembly.design(rollout.inputs), records.held, rollout.inputs.strength, rollout.inputs.rest,
+            rollout.inputs.terms,
         )  # fmt: skip
 
     def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:
@@ -321,12 +328,7 @@ class Agent:
             else:
                 sweep = next(waiting)
                 inputs_bar, parameters_bar = sweep.inputs_bar(), sweep.parameters_bar
-            if beside.design is not None:
-                self.built.assembly.add_design_bar(inputs_bar, beside.design)
-            if beside.strength is not None:
-                inputs_bar.strength += beside.strength
-            if beside.rest_length is not None:
-                inputs_bar.rest += beside.rest_length
+            self.built.assembly.add_beside(inputs_bar, beside)
             by_controller = {CONTROLLER + name: bar for name, bar in parameters_bar.items()}
             gradients.append(by_controller | self.built.assembly.gradient(of_scene, inputs_bar))
         return replace(attempts[0], growth_at=rollout.growth_at, effort=Effort.of(rollout)), gradients
@@ -348,10 +350,9 @@ class Agent:
             for boundary, held_bar in (bar.held or {}).items():
                 full.held[boundary] += held_bar
                 moves = True
-            for name in ("activation", "design", "strength", "rest_length"):
-                part, so_far = getattr(bar, name), getattr(total, name)
-                if part is not None:
-                    setattr(total, name, part if so_far is None else so_far + part)
+            if bar.activation is not None:
+                total.activation = bar.activation + (0.0 if total.activation is None else total.activation)
+            total.add_inputs_of(bar)
         moves = moves or total.activation is not None
         return (LossBar(full, activation=total.activation) if moves else None), total
 

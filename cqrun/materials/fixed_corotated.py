@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 from numba.extending import register_jitable
 
 from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus, shear_modulus
-from cqrun.materials.term import MaterialTerm, register, register_volume, zeros_like_rows
+from cqrun.materials.term import MaterialTerm, register, register_energy, register_volume, zeros_like_rows
 from cqrun.numerics.polar import polar, polar_vjp
 from cqrun.numerics.tensor import (
     add,
@@ -100,3 +100,22 @@ def slope_vjp(term: Any, theta: Any, J: Any, slope_bar: Any) -> Any:
 
 
 register_volume(FixedCorotatedKernel, slope, slope_vjp)
+
+
+def energy(term: Any, theta: Any, F: Any) -> Any:
+    """Return psi = mu |F - R|^2 + lam/2 (J - 1)^2."""
+    mu, lam = lame(theta[0], theta[1])
+    stretch, J = sub(F, polar(F)), det(F)
+    return mu * inner(stretch, stretch) + 0.5 * lam * (J - 1.0) * (J - 1.0)
+
+
+def energy_vjp(term: Any, theta: Any, F: Any, psi_bar: Any) -> Any:
+    """Return (theta_bar, F_bar), F_bar = psi_bar P; R does not add to P, because F - R is normal to all rotations."""
+    mu, lam = lame(theta[0], theta[1])
+    stretch, J = sub(F, polar(F)), det(F)
+    P = add(scale(stretch, 2.0 * mu), scale(cofactor(F), lam * (J - 1.0)))
+    by_mu, by_lam = inner(stretch, stretch), 0.5 * (J - 1.0) * (J - 1.0)
+    return lame_vjp(theta[0], theta[1], by_mu * psi_bar, by_lam * psi_bar), scale(P, psi_bar)
+
+
+register_energy(FixedCorotatedKernel, energy, energy_vjp)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field, field_validator
 
-from cqrun.materials.term import MaterialTerm, register, register_volume, zeros_like_rows
+from cqrun.materials.term import MaterialTerm, register, register_energy, register_volume, zeros_like_rows
 from cqrun.numerics.tensor import cofactor, det, plus_diagonal, scale, trace
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
@@ -102,3 +102,19 @@ def slope_vjp(term: Any, theta: Any, J: Any, slope_bar: Any) -> Any:
 
 
 register_volume(IncompressibilityKernel, slope, slope_vjp)
+
+
+def energy(term: Any, theta: Any, F: Any) -> Any:
+    """Return psi = kappa/2 (J - 1)^p."""
+    return theta[0] / (6.0 - 12.0 * theta[1]) * (det(F) - 1.0) ** term.power
+
+
+def energy_vjp(term: Any, theta: Any, F: Any, psi_bar: Any) -> Any:
+    """Return (theta_bar, F_bar)."""
+    weight, J = 1.0 / (6.0 - 12.0 * theta[1]), det(F)
+    E_bar = weight * (J - 1.0) ** term.power * psi_bar
+    slope_bar = theta[0] * weight * term.power * (J - 1.0) ** (term.power - 1) * psi_bar
+    return (E_bar, theta[0] * E_bar * weight * 12.0), scale(cofactor(F), slope_bar)
+
+
+register_energy(IncompressibilityKernel, energy, energy_vjp)

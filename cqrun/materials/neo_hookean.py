@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, ClassVar, NamedTuple
 
 from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus, shear_modulus
-from cqrun.materials.term import MaterialTerm, register, register_volume, zeros_like_rows
+from cqrun.materials.term import MaterialTerm, register, register_energy, register_volume, zeros_like_rows
 from cqrun.numerics.lanes import log
 from cqrun.numerics.tensor import add, cofactor, det, inner, mul, mul_at, mul_bt, plus_diagonal, scale, trace
 from cqrun.plugin.contract import Array, quantity
@@ -75,3 +75,28 @@ def slope_vjp(term: Any, theta: Any, J: Any, slope_bar: Any) -> Any:
 
 
 register_volume(NeoHookeanKernel, slope, slope_vjp)
+
+
+def energy(term: Any, theta: Any, F: Any) -> Any:
+    """Return psi = mu/2 (tr F^T F - D - 2 log J) + lam/2 log(J)^2."""
+    mu, lam = lame(theta[0], theta[1])
+    by_mu, by_lam = _parts(F)
+    return mu * by_mu + lam * by_lam
+
+
+def energy_vjp(term: Any, theta: Any, F: Any, psi_bar: Any) -> Any:
+    """Return (theta_bar, F_bar), F_bar = psi_bar P."""
+    mu, lam = lame(theta[0], theta[1])
+    by_mu, by_lam = _parts(F)
+    J = det(F)
+    P = add(scale(F, mu), scale(cofactor(F), (lam * log(J) - mu) / J))
+    return lame_vjp(theta[0], theta[1], by_mu * psi_bar, by_lam * psi_bar), scale(P, psi_bar)
+
+
+def _parts(F: Any) -> Any:
+    """Return what mu and lam are multiplied by."""
+    J, dim = det(F), 2 if len(F) == 4 else 3
+    return 0.5 * (inner(F, F) - dim) - log(J), 0.5 * log(J) * log(J)
+
+
+register_energy(NeoHookeanKernel, energy, energy_vjp)

@@ -23,6 +23,12 @@ can be averaged (engine/reference/volume.py). Its stress holds J U'(J) I. U' is 
 
     volume_slope(term, theta, J)                  -> U'
     volume_slope_vjp(term, theta, J, slope_bar)   -> theta_bar, J_bar
+
+A term that stores energy, psi per volume at rest with P = d psi / dF, says so with `register_energy`, so that a scene
+can measure it (measures/material.py):
+
+    energy(term, theta, F)               -> psi
+    energy_vjp(term, theta, F, psi_bar)  -> theta_bar, F_bar
 """
 
 from __future__ import annotations
@@ -47,11 +53,14 @@ _UPDATE = ByClass("update", "term, theta, F, F_next, h, dt")
 _UPDATE_VJP = ByClass("update_vjp", "term, theta, F, F_next, h, dt, h_next_bar")
 _VOLUME = ByClass("volume_slope", "term, theta, J")
 _VOLUME_VJP = ByClass("volume_slope_vjp", "term, theta, J, slope_bar")
+_ENERGY = ByClass("energy", "term, theta, F")
+_ENERGY_VJP = ByClass("energy_vjp", "term, theta, F, psi_bar")
 _RATES: set[type] = set()
 kirchhoff, kirchhoff_vjp, kirchhoff_both, update, update_vjp = (
     f.call for f in (_STRESS, _STRESS_VJP, _BOTH, _UPDATE, _UPDATE_VJP)
 )
 volume_slope, volume_slope_vjp = _VOLUME.call, _VOLUME_VJP.call
+energy, energy_vjp = _ENERGY.call, _ENERGY_VJP.call
 
 
 class MaterialTerm(Plugin):
@@ -121,6 +130,12 @@ def register_volume(kernel_class: type, slope: Callable[..., Any], slope_vjp: Ca
     _VOLUME_VJP.register(kernel_class, slope_vjp)
 
 
+def register_energy(kernel_class: type, energy: Callable[..., Any], energy_vjp: Callable[..., Any]) -> None:
+    """Register the energy of a kernel class, and its adjoint."""
+    _ENERGY.register(kernel_class, energy)
+    _ENERGY_VJP.register(kernel_class, energy_vjp)
+
+
 def one_after_the_other(stress: Callable[..., Any], stress_vjp: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function that gives the stress and the cotangents, from one for each."""
     first, second = (f if hasattr(f, "py_func") else register_jitable(f) for f in (stress, stress_vjp))
@@ -151,6 +166,11 @@ def needs_rate(kernel_class: type) -> bool:
 def has_volume(kernel_class: type) -> bool:
     """Return whether the energy of a kernel class has a part of the volume ratio alone."""
     return kernel_class in _VOLUME
+
+
+def has_energy(kernel_class: type) -> bool:
+    """Return whether the energy of a kernel class is known."""
+    return kernel_class in _ENERGY
 
 
 def is_stress(kernel_class: type) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from cqrun.materials.term import MaterialTerm, register
+from cqrun.materials.term import MaterialTerm, register, register_energy, zeros_like_rows
 from cqrun.numerics.tensor import cofactor, det, inner, plus_diagonal, scale, symmetric, trace
 from cqrun.plugin.contract import Array, quantity
 from cqrun.plugin.registry import plugin
@@ -60,3 +60,16 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
 
 
 register(ViscosityKernel, stress, stress_vjp)
+
+
+def energy(term: Any, theta: Any, F: Any) -> Any:
+    """Return 0: it stores no energy."""
+    return det(F) * 0.0
+
+
+def energy_vjp(term: Any, theta: Any, F: Any, psi_bar: Any) -> Any:
+    """Return (theta_bar, F_bar)."""
+    return (psi_bar * 0.0, psi_bar * 0.0), zeros_like_rows(F)
+
+
+register_energy(ViscosityKernel, energy, energy_vjp)

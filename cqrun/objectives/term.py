@@ -134,8 +134,7 @@ class Objective:
             for part in ("x", "v", "C", "F"):
                 _add(total, part, getattr(term_bar, part), getattr(track, part), (slice(None), self._places[name]))
             _add(total, "activation", term_bar.activation, track.activation, ())
-            for part in ("design", "strength", "rest_length"):
-                _add(total, part, getattr(term_bar, part), getattr(track, part), ())
+            total.add_inputs_of(term_bar)
             for boundary, held_bar in (term_bar.held or {}).items():
                 total.held = total.held or {}
                 total.held[boundary] = total.held.get(boundary, 0.0) + held_bar
@@ -147,6 +146,7 @@ class Objective:
         return Track(
             track.x[:, at], track.v[:, at], track.C[:, at], track.F[:, at], track.activation, track.goals,
             track.control_step, track.design, track.held, track.strength, track.rest_length,
+            track.terms,
         )  # fmt: skip
 
 

@@ -50,6 +50,21 @@ class Route:
 
 
 @dataclass(frozen=True)
+class Material:
+    """Where the parameters of a body's material are among all (`Track.terms`), and what its terms are.
+
+    Attributes:
+        group: number of the group of bodies with the same terms.
+        begin: the first particle of the group.
+        makers: return each term's kernel view from its parameters (rows, n).
+    """
+
+    group: int
+    begin: int
+    makers: Sequence[Callable[[Array], Any]]
+
+
+@dataclass(frozen=True)
 class Matter:
     """A scene's particles, before it runs.
 
@@ -71,6 +86,10 @@ class Matter:
             and its positions then (T, D) [m]; UsageError if there is no such file or marker.
         n_parts: number of parts of actuators and forces.
         routes: name -> cable or spring.
+        materials: body -> its material.
+        terms: parameters of all terms of the stress at the initial values of the unknowns, as in `Track.terms`.
+        averaged: whether volumes are means over the corners of cells.
+        room: (N,) space that each particle fills, divided by its volume in the engine: 1, if not of unit mass.
         measures: name -> measured quantity of the scene, which is not bound yet.
         design: (Q, N) rows of `objectives/design.py` at the initial values of the unknowns; (0, 0) if not known.
     """
@@ -92,6 +111,10 @@ class Matter:
     spacing: Mapping[str, float] = field(default_factory=dict)
     n_parts: int = 0
     routes: Mapping[str, Route] = field(default_factory=dict)
+    materials: Mapping[str, Material] = field(default_factory=dict)
+    terms: Sequence[Sequence[Array]] = ()
+    averaged: bool = False
+    room: Array = field(default_factory=lambda: np.zeros(0))
     measures: Mapping[str, Bindable[Any]] = field(default_factory=dict)
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,6 +23,7 @@ class Track:
         design: (Q, N) rows of `objectives/design.py` for every particle.
         strength, rest_length: (A',) of every part of actuators and forces; the first A have an activation. The unit of
             a strength is the part's own; a length is in [m].
+        terms: parameters (rows, N_g) of each term of the stress of each group of bodies, as in `Inputs.terms`.
         held: force [N] and moment [N m] of the boundaries that readers need (T+1, D+1) or (T+1, 6), by name: means over
             each control step, which row 0 does not have (engine/reference/reactions.py).
     """
@@ -38,6 +39,7 @@ class Track:
     held: Mapping[str, Array] = field(default_factory=dict)
     strength: Array = field(default_factory=lambda: np.zeros(0))
     rest_length: Array = field(default_factory=lambda: np.zeros(0))
+    terms: Sequence[Sequence[Array]] = ()
 
 
 @dataclass
@@ -53,3 +55,18 @@ class TrackBar:
     held: dict[str, Array] | None = None
     strength: Array | None = None
     rest_length: Array | None = None
+    terms: list[list[Array]] | None = None
+
+    def add_inputs_of(self, other: TrackBar) -> None:
+        """Add the parts of another cotangent that belong to the inputs of a run: design, strengths, lengths, terms."""
+        for name in ("design", "strength", "rest_length"):
+            part, so_far = getattr(other, name), getattr(self, name)
+            if part is not None:
+                setattr(self, name, part if so_far is None else so_far + part)
+        if other.terms is not None:
+            self.terms = other.terms if self.terms is None else _sums(self.terms, other.terms)
+
+
+def _sums(some: list[list[Array]], more: list[list[Array]]) -> list[list[Array]]:
+    """Return the sum of two cotangents of the parameters of all terms of the stress."""
+    return [[a + b for a, b in zip(*groups, strict=True)] for groups in zip(some, more, strict=True)]

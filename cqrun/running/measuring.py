@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,11 +23,12 @@ from cqrun.store.result import GradcheckResult, Result
 
 @dataclass(frozen=True)
 class Levels:
-    """What a moment of a run depends on beside the state: design (Q, N), strengths and rest lengths of all parts."""
+    """What a moment of a run depends on beside the state; see `Track`."""
 
     design: Array
     strength: Array
     rest_length: Array
+    terms: Sequence[Sequence[Array]]
 
 
 class Measuring:
@@ -63,7 +64,7 @@ class Measuring:
         """
         if not self._rows:
             return
-        levels = Levels(self.built.assembly.design(inputs), inputs.strength, inputs.rest)
+        levels = Levels(self.built.assembly.design(inputs), inputs.strength, inputs.rest, inputs.terms)
         for name, rows in self._rows.items():
             rows.append(_at(self.bound[name], state, levels, activation, self.built.scene.time.control_step))
 
@@ -98,7 +99,8 @@ def _at(bound: BoundMeasure, state: State, levels: Levels, activation: Array, co
         for part in (state.x, state.v, state.C, state.F)
     )
     track = Track(
-        x, v, C, F, activation[None], {}, control_step, levels.design, {}, levels.strength, levels.rest_length
+        x, v, C, F, activation[None], {}, control_step, levels.design, {}, levels.strength, levels.rest_length,
+        levels.terms,
     )  # fmt: skip
     try:
         return bound.values(track)[0]

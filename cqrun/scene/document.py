@@ -38,6 +38,10 @@ _RESOLVERS = [
 ]
 
 
+_EXPONENT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)[eE][-+]?[0-9]+")
+"""A number that PyYAML reads as text: in YAML 1.1 it must have a point, and a sign in its exponent."""
+
+
 class _Loader(yaml.SafeLoader):
     """Reads text as nodes; `_Builder` turns them into data."""
 
@@ -301,3 +305,15 @@ def write(data: Any) -> str:
     """Return YAML text that `read` turns into the same plain data, with bit-for-bit identical floats."""
     text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
     return str(text)
+
+
+def with_exponents(data: Any) -> Any:
+    """Return plain data in which texts such as `1.0e4` are numbers, as in a scene's file.
+
+    Data that PyYAML or another program has read from a scene's file has them as text.
+    """
+    if isinstance(data, dict):
+        return {key: with_exponents(value) for key, value in data.items()}
+    if isinstance(data, list):
+        return [with_exponents(value) for value in data]
+    return _float(data) if isinstance(data, str) and _EXPONENT.fullmatch(data) else data

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from cqrun.errors import Problem, SceneError
 from cqrun.explain import complaint
 from cqrun.scene.defaults import with_vector
-from cqrun.scene.document import MAX_CHARACTERS, Document, place_of, read, too_long, write
+from cqrun.scene.document import MAX_CHARACTERS, Document, place_of, read, too_long, with_exponents, write
 from cqrun.scene.keypath import is_named, locate, removed, replaced
 from cqrun.scene.origin import Origin, Override
 from cqrun.scene.paths import plain
@@ -65,7 +65,7 @@ def dump(data: dict[str, Any]) -> str:
 def _document(source: Path | str | dict[str, Any]) -> tuple[Document, Path | None, str]:
     """Return the document, its file if it has one, and its text."""
     if isinstance(source, dict):
-        return Document(plain(source)), None, ""
+        return Document(with_exponents(plain(source))), None, ""
     if isinstance(source, str) and "\n" in source:
         return read(source), None, source
     path = Path(source)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_matter import N_ACTUATORS, box_around_left, made_matter, mismatch
-from made_tracks import FIELDS, a_track, bar_of, random_like
+from made_tracks import FIELDS, a_track, products_of, random_like
 
 from cqrun.measures.measure import BoundMeasure
 from cqrun.observers.matter import Matter
@@ -40,6 +40,8 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "strain": [{"body": "arm"}, place],
         "stretch": [{"body": "arm"}, {"body": "arm", "group": "tip", "axis": [1.0, 2.0, -1.0][:dim]}],
         "kinetic_energy": [{"body": "arm", "group": "tip"}, {"body": "ball"}],
+        "stress": [{"body": "arm", "group": "tip"}, {"body": "ball"}],
+        "elastic_energy": [place, {"body": "ball"}],
         "cable_length": [{"cable": "cable"}, {"spring": "spring"}],
         "cable_tension": [{"cable": "cable"}, {"cable": "weight"}, {"spring": "spring"}],
         "reaction": [{"boundary": "clamp"}, {"boundary": "floor", "of": "moment", "on": "boundary"}],
@@ -59,6 +61,8 @@ def moved(value: Any, direction: Any, step: float) -> Any:
     """Return an array, or a mapping of arrays, moved along a direction."""
     if isinstance(value, dict):
         return {name: moved(value[name], direction[name], step) for name in value}
+    if isinstance(value, list):
+        return [moved(each, along, step) for each, along in zip(value, direction, strict=True)]
     return value + step * direction
 
 
@@ -73,8 +77,7 @@ def adjoint_error(bound: BoundMeasure, track: Track, rng: np.random.Generator) -
 
     expected = sum(weight * (at(STEP * k) - at(-STEP * k)) for k, weight in WEIGHTS) / STEP
     found = bound.values_vjp(track, bar)
-    parts = [bar_of(found, name, directions[name].shape) * directions[name] for name in FIELDS if name != "held"]
-    parts += [part * directions["held"][name] for name, part in (found.held or {}).items()]
+    parts = products_of(found, directions)
     return mismatch(sum(float(p.sum()) for p in parts), expected, sum(float(np.abs(p).sum()) for p in parts))
 
 

@@ -191,3 +191,48 @@ def test_a_crushed_part_has_no_rotation():
 def test_contradictions_are_refused(name, fields, message):
     with pytest.raises(ValueError, match=message):
         plugins("measure")[name].model_validate(fields)
+
+
+def test_stress_and_energy_of_a_small_stretch_are_those_of_linear_elasticity():
+    """In 3D: E eps along a stretch whose sides contract by nu eps, and E eps^2 / 2 per volume."""
+    young, nu, eps = 2.0, 0.3, 1e-6
+    pull = np.diag([1 + eps, 1 - nu * eps, 1 - nu * eps])
+    for name, body, expected in (
+        ("stress", "arm", [young * eps, 0, 0, 0, 0, 0]), ("stress", "ball", [young * eps, 0, 0, 0, 0, 0])
+    ):  # fmt: skip
+        stress = bound(name, 3, body=body)
+        track = motion(stress, 3, lambda X, t: X @ pull)
+        track.terms = uniform_terms(young, nu)
+        assert stress.values(track)[-1] == pytest.approx(expected, rel=1e-5, abs=1e-5 * young * eps)
+    matter = made_matter(3)
+    for body in ("arm", "ball"):
+        stored = bound("elastic_energy", 3, body=body)
+        track = motion(stored, 3, lambda X, t: X @ pull)
+        track.terms = uniform_terms(young, nu)
+        volume = (track.design[1] / matter.room)[matter.members(body)].sum()
+        assert stored.values(track)[-1, 0] == pytest.approx(0.5 * young * eps**2 * volume, rel=1e-3)
+
+
+def uniform_terms(young: float, nu: float) -> list[list[np.ndarray]]:
+    """Return the parameters of both bodies' terms: the first law's, and those of viscosity or incompressibility."""
+    matter = made_matter(3)
+    counts = [len(matter.members(body)) for body in ("arm", "ball")]
+    return [[np.tile([[young], [nu]], n), np.tile([[young], [nu]], n)] for n in counts]
+
+
+def test_stress_turns_with_the_body():
+    """The stress of a bar that is pulled along x and then turned by a right angle is along y."""
+    stress = bound("stress", 2, body="ball")
+    track = motion(stress, 2, lambda X, t: (X @ np.diag([1.1, 1.0])) @ turn(np.pi / 2, 2).T)
+    track.terms = uniform_terms(2.0, 0.3)
+    xx, yy, xy = stress.values(track)[-1]
+    assert yy > 2 * xx > 0
+    assert xy == pytest.approx(0.0, abs=1e-12)
+
+
+def test_stress_is_refused_where_it_is_not_known():
+    matter = made_matter(2)
+    averaged = type(matter)(**{**vars(matter), "averaged": True})
+    spec = plugins("measure")["stress"].model_validate({"body": "arm"})
+    with pytest.raises(UsageError, match=r"not known where volumes are averaged: set `world\.volume: local`"):
+        spec.bind(averaged)

@@ -32,8 +32,10 @@ MEASURE: dict[str, Any] = {
     "held": {"reaction": {"boundary": "clamp"}},
     "cable": {"cable_tension": {"cable": "pull"}},
     "motion": {"kinetic_energy": {}},
+    "stored": {"elastic_energy": {}},
+    "root": {"stress": {"region": {"box": {"corner": [0.04, 0.2], "size": [0.02, 0.02]}}}},
 }
-NAMES = ["tip.x", "tip.y", "bend", "held.x", "held.y", "cable", "motion"]
+NAMES = ["tip.x", "tip.y", "bend", "held.x", "held.y", "cable", "motion", "stored", "root.xx", "root.yy", "root.xy"]
 
 
 def written(folder: Path, **changes: Any) -> Path:
@@ -77,6 +79,15 @@ def test_quantities_agree_with_the_trajectory(simulated):
     mass = 1000 * 0.2 * 0.04 / x.shape[1]
     assert table["motion"] == pytest.approx(0.5 * mass * (v.astype(float) ** 2).sum(axis=(1, 2)), rel=1e-5, abs=1e-12)
     assert table["bend"][-1] < -1e-3
+
+
+def test_a_beam_that_falls_turns_its_height_into_motion_and_strain(tmp_path):
+    measure = {name: MEASURE[name] for name in ("motion", "stored")} | {"centre": {"displacement": {}}}
+    changes = {"actuators": {}, "measure": measure, "time": {"duration": 0.2, "control_step": 0.01}}
+    table = table_of(run_simulate(written(tmp_path, **changes), ["world.dx=0.01"], tmp_path / "results"))
+    fallen = -1000 * 9.81 * 0.2 * 0.04 * table["centre.y"]
+    assert table["stored"].max() > 0.2 * fallen.max()
+    assert table["motion"] + table["stored"] == pytest.approx(fallen, abs=0.02 * fallen.max())
 
 
 def test_the_trajectory_explains_the_quantities_itself(simulated):

@@ -1,0 +1,145 @@
+"""A loss of one's own in Python: its gradient, in NumPy and other packages, and what it refuses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from tiny_beam import BEAM, E
+
+import cqrun
+from cqrun.errors import UsageError
+
+MEASURE = {
+    "tip": {"displacement": {"region": {"box": {"corner": [0.18, 0.2], "size": [0.04, 0.04]}}}},
+    "bend": {"rotation": {}},
+    "held": {"reaction": {"boundary": "clamp"}},
+    "pull": {"cable_tension": {"cable": "pull"}},
+    "stored": {"elastic_energy": {}},
+}
+STIFFNESS = "actuators.pull.cable.stiffness"
+
+
+def scene(**changes: Any) -> dict[str, Any]:
+    data = yaml.safe_load(BEAM)
+    route = [[0.05, 0.235], [0.21, 0.235]]
+    data["actuators"] = {"pull": {"cable": {"body": "beam", "route": route, "stiffness": 50.0}}}
+    data["activation"] = {"signals": {"pull": [0.9, 0.8]}}
+    data["measure"] = MEASURE
+    return data | changes
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return cqrun.load(scene())
+
+
+def slope(value: Any, at: float, step: float) -> float:
+    """Return the derivative by a central difference of order 8."""
+    weights = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))
+    return sum(w * (value(at + k * step) - value(at - k * step)) for k, w in weights) / step
+
+
+def miss(tip, bend, pull, stored, held, activation):
+    """Return a loss of all kinds of quantities, and its derivatives."""
+    force = held[1:, 1]
+    value = 1e4 * (tip[-1] ** 2).sum() + bend[:, 0].mean() + 0.1 * pull.sum() + stored[-1, 0] + 1e-3 * force.sum()
+    bars = {name: np.zeros(of.shape) for name, of in
+            (("tip", tip), ("bend", bend), ("pull", pull), ("stored", stored), ("held", held))}  # fmt: skip
+    bars["tip"][-1] = 2e4 * tip[-1]
+    bars["bend"][:] = 1.0 / len(bend)
+    bars["pull"][:] = 0.1
+    bars["stored"][-1] = 1.0
+    bars["held"][1:, 1] = 1e-3
+    return value + (activation**2).sum(), bars | {"activation": 2.0 * activation}
+
+
+@pytest.mark.parametrize("path", [E, STIFFNESS, "bodies.beam.material.density", "activation.signals.pull.0"])
+def test_gradient_is_that_of_the_function_through_the_whole_motion(problem, path):
+    loss = problem.loss(miss)
+    at = {E: 5.0e4, STIFFNESS: 50.0, "bodies.beam.material.density": 1000.0, "activation.signals.pull.0": 0.9}[path]
+    value, gradient = loss.value_and_grad({path: at})
+    assert value == pytest.approx(loss({path: at}), rel=1e-14)
+    expected = slope(lambda x: loss({path: x}), at, 1e-3 * at)
+    assert gradient[path] == pytest.approx(expected, rel=1e-7)
+
+
+def test_vjp_of_all_particles_is_the_transpose_of_the_motion(problem):
+    rng, base = np.random.default_rng(2), problem.simulate()
+    x_bar, v_bar = rng.normal(size=base.x.shape), rng.normal(size=base.v.shape)
+
+    def product(young: float) -> float:
+        motion = problem.simulate({E: young})
+        return float((x_bar * motion.x).sum() + (v_bar * motion.v).sum())
+
+    gradient = problem.vjp({E: 5.0e4}, x_bar=x_bar, v_bar=v_bar)
+    assert gradient[E] == pytest.approx(slope(product, 5.0e4, 50.0), rel=1e-7)
+
+
+def test_a_motion_has_the_measured_quantities(problem):
+    motion = problem.simulate()
+    assert set(motion.measured) == set(MEASURE)
+    assert motion.measured["tip"].shape == (11, 2)
+    assert np.isnan(motion.measured["held"][0]).all()
+    assert motion.measured["pull"][-1, 0] > 0
+
+
+def test_a_controller_has_its_gradient_too():
+    data = scene(controller={"linear_tanh": {}}, observers={"seen": {"measured": {"quantity": "bend"}}},
+                 objective={"far": {"measured": {"quantity": "tip", "target": [0.0, 0.0]}}})  # fmt: skip
+    del data["activation"]
+    problem = cqrun.load(data)
+    loss = problem.loss(lambda tip: ((tip[-1] ** 2).sum(), {"tip": np.eye(len(tip))[:, [-1]] * 2.0 * tip[-1]}))
+    value, gradient = loss.value_and_grad()
+    wanted, expected, _ = problem.value_and_grad()
+    assert value == pytest.approx(wanted, rel=1e-12)
+    for path, bar in expected.items():
+        assert gradient[path] == pytest.approx(bar, rel=1e-10)
+
+
+@pytest.mark.parametrize("backend", ["torch", "jax"])
+def test_functions_of_other_packages_have_the_same_gradient(problem, backend):
+    pytest.importorskip(backend)
+    plain = problem.loss(lambda tip: ((tip**2).sum(), {"tip": 2.0 * tip}))
+    other = problem.loss(lambda tip, time: (tip**2).sum(), backend=backend)
+    expected, found = plain.value_and_grad({E: 5.0e4}), other.value_and_grad({E: 5.0e4})
+    assert found[0] == pytest.approx(expected[0], rel=1e-13)
+    assert found[1][E] == pytest.approx(expected[1][E], rel=1e-12)
+    assert other() == pytest.approx(expected[0], rel=1e-13)
+
+
+def test_arguments_may_have_other_names(problem):
+    loss = problem.loss(lambda a, b: (a.sum() + b.sum(), {"x": np.ones(a.shape)}), of=["x", "time"])
+    motion = problem.simulate()
+    assert loss() == pytest.approx(motion.x.sum() + motion.time.sum())
+    assert repr(loss) == "<loss of x, time>"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda p: p.loss(lambda tp: 0.0), r"no 'tp' in a motion .did you mean 'tip'.*quantities of `measure`: tip"),
+        (lambda p: p.loss(lambda tip: 0.0, backend="tensorflow"), "no backend 'tensorflow'"),
+        (lambda p: p.loss(lambda: 0.0), "does not name its arguments"),
+        (lambda p: p.loss(lambda tip: 0.0)(), r"must return .loss, .name: derivative.., not 0"),
+        (lambda p: p.loss(lambda tip: (np.nan, {}))(), "returned nan; a loss must be finite"),
+        (lambda p: p.loss(lambda tip: (0.0, {"x": tip}))(), "a derivative by 'x', which it does not take"),
+        (lambda p: p.loss(lambda tip: (0.0, {"tip": tip[1:]})).value_and_grad(), r"shape \(10, 2\); the array has"),
+        (lambda p: p.vjp(x_bar=np.zeros(3)), r"vjp: x has the shape \(3,\); its array has \(11, 80, 2\)"),
+        (lambda p: p.vjp(), "vjp takes derivatives as x_bar"),
+        (lambda p: p.vjp(x=np.zeros(3)), "not x"),
+    ],
+)
+def test_mistakes_are_explained(problem, make, message):
+    with pytest.raises(UsageError, match=message):
+        make(problem)
+
+
+def test_data_that_another_yaml_reader_made_has_the_same_numbers():
+    """PyYAML reads 5.0e4 as text, because YAML 1.1 wants a sign in the exponent."""
+    data = yaml.safe_load(BEAM)
+    assert data["bodies"]["beam"]["material"]["elastic"]["neo_hookean"]["youngs_modulus"] == "5.0e4"
+    from_data, from_text = cqrun.load(data).scene, cqrun.load(BEAM).scene
+    assert from_data.model_dump() == from_text.model_dump()
