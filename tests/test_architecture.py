@@ -142,7 +142,7 @@ MUTATIONS = {
         "circle: cqrun.scene.",
     ),
     "a circle inside a function": (
-        "cqrun.store.marker_csv", "def f():\n    import cqrun.store.recordings\n", "circle: cqrun.store.",
+        "cqrun.store.formats.long_table", "def f():\n    import cqrun.store.recordings\n", "circle: cqrun.store.",
     ),
     "rooms that are apart": (
         "cqrun.fitting.problem", "from cqrun.learning.agent import Agent\n", "do not import each other: cqrun.learning",

@@ -28,7 +28,7 @@ from cqrun.measurements.recording import Recording
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.scene.schema_json import scene_json_schema
-from cqrun.store.marker_csv import write_csv
+from cqrun.store.formats.long_table import write_csv
 
 ROOT = Path(__file__).parents[1]
 SCENES = sorted((ROOT / "scenes").rglob("*.yaml"))

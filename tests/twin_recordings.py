@@ -15,7 +15,7 @@ from cqrun.engine.frames import make_rollout
 from cqrun.measurements.markers import observe_markers, over_body
 from cqrun.objectives.hermite import interpolant
 from cqrun.scene.load import load_scene
-from cqrun.store.marker_csv import write_csv
+from cqrun.store.formats.long_table import write_csv
 from cqrun.store.synthetic import make_synthetic
 
 NOISE = 2e-5

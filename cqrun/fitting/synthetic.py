@@ -23,7 +23,7 @@ from cqrun.scene.data import Synthetic
 from cqrun.scene.unknowns import truths
 from cqrun.store.atomic import replacing
 from cqrun.store.folder import SYNTHETIC, make_below
-from cqrun.store.marker_csv import write_csv
+from cqrun.store.formats.long_table import write_csv
 from cqrun.store.recordings import read_recording
 from cqrun.store.synthetic import make_synthetic
 

@@ -15,10 +15,10 @@ from cqrun.errors import DataError
 from cqrun.measurements.plausible import plausible
 from cqrun.measurements.recording import Recording, check_recording
 from cqrun.plugin.contract import Array
-from cqrun.store.c3d import read_c3d
-from cqrun.store.marker_csv import read_csv
-from cqrun.store.other_formats import other_format
-from cqrun.store.recorded_trajectory import read_trajectory
+from cqrun.store.formats.c3d import read_c3d
+from cqrun.store.formats.long_table import read_csv
+from cqrun.store.formats.trajectory import read_trajectory
+from cqrun.store.formats.unreadable import other_format
 from cqrun.units import METRES
 
 

@@ -15,7 +15,7 @@ from cqrun.jobs.gradcheck import run_gradcheck
 from cqrun.jobs.sysid import run_sysid
 from cqrun.measurements.markers import observe_markers, over_body
 from cqrun.scene.load import load_scene
-from cqrun.store.marker_csv import write_csv
+from cqrun.store.formats.long_table import write_csv
 from cqrun.store.synthetic import make_synthetic
 
 SCENE = BEAM.replace("frame: updated", "frame: reference") + "start: equilibrium\n"

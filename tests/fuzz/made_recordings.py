@@ -12,7 +12,7 @@ import numpy as np
 from made_c3d import DEC, INTEL, MIPS, hand_made, write_c3d
 
 from cqrun.measurements.recording import Recording
-from cqrun.store.marker_csv import write_csv
+from cqrun.store.formats.long_table import write_csv
 from cqrun.store.trajectory import TrajectoryWriter
 
 SHARED = Path(os.environ.get("CQRUN_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data")) / "realbeam"

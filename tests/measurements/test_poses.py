@@ -43,7 +43,7 @@ from cqrun.measurements.recording import Recording
 from cqrun.optimizers.base import TrialFailed
 from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
-from cqrun.store.marker_csv import write_csv
+from cqrun.store.formats.long_table import write_csv
 from cqrun.store.trajectory import read_trajectory
 
 OFFSET = (1.5e-3, -0.8e-3)

@@ -15,7 +15,7 @@ import pytest
 from cqrun.errors import DataError
 from cqrun.measurements.recording import Recording, check_recording, unit_of
 from cqrun.store import hdf5
-from cqrun.store.marker_csv import write_csv
+from cqrun.store.formats.long_table import write_csv
 from cqrun.store.recordings import read_recording
 
 NAMES = ("Tip - 1", "Tip - 2", "Base")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cqrun.store.marker_csv import write_csv
+from cqrun.store.formats.long_table import write_csv
 from cqrun.store.recordings import read_recording
 from cqrun.store.synthetic import make_synthetic
 

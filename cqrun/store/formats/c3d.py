@@ -13,7 +13,7 @@ import numpy as np
 from cqrun.errors import DataError
 from cqrun.measurements.recording import Recording, columns, unit_of
 from cqrun.plugin.contract import Array
-from cqrun.store.c3d_head import Head, read_head, reals
+from cqrun.store.formats.c3d_head import Head, read_head, reals
 from cqrun.units import METRES
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from cqrun.errors import DataError
 from cqrun.measurements.recording import Recording, columns
-from cqrun.store.other_formats import other_format
+from cqrun.store.formats.unreadable import other_format
 from cqrun.units import METRES
 
 COLUMNS = ("time", "marker", "x", "y", "z")
