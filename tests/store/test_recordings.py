@@ -108,7 +108,7 @@ def test_not_c3d(tmp_path, rng):
     refused(path, "not a C3D file")
 
 
-@pytest.mark.parametrize("suffix", [".c3d", ".csv", ".h5"])
+@pytest.mark.parametrize("suffix", [".c3d", ".csv", ".tsv", ".txt", ".trc", ".h5"])
 def test_missing_and_empty(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     refused(path, "no such file")
@@ -119,7 +119,7 @@ def test_missing_and_empty(tmp_path, suffix):
 def test_unknown_format_and_units(tmp_path):
     path = tmp_path / "a.xlsx"
     path.touch()
-    refused(path, ".c3d, .csv, .h5", "'.xlsx'")
+    refused(path, ".c3d, .csv, .tsv, .txt, .trc, .h5", "'.xlsx'")
     refused(path.with_suffix(".csv"), "'inch'", "m, cm, mm", units="inch")
 
 
@@ -178,9 +178,10 @@ def test_names_in_a_file_are_data_in_messages(text):
 
 
 def test_csv_header_and_encoding(text, tmp_path):
-    refused(text("0,a,1,2,3", header="t,name,x,y,z"), "time,marker,x,y,z", "t,name,x,y,z")
+    refused(text("0,a,1,2,3", header="t,name,x,y,z"), ":1:", "time,marker,x,y,z", "the columns 'x', 'y', 'z'")
+    refused(text("0,a,1", header="step,name,value"), ":1:", "time,marker,x,y,z", "'step,name,value'", "recordings.md")
     (tmp_path / "b.csv").write_bytes(b"\x00\x81" * 50)
-    refused(tmp_path / "b.csv", "not a CSV text file")
+    refused(tmp_path / "b.csv", "not a text file in UTF-8")
 
 
 def test_csv_reads_only_the_markers_that_are_named(text):

@@ -1,4 +1,4 @@
-"""Marker recordings as text: one line per marker and frame, `time,marker,x,y,z` (without `z` in 2D).
+"""Long tables: a line for each marker and frame, `time,marker,x,y,z` (without `z` in 2D).
 
 Numbers are written with `repr`, so that a written recording is read back bit for bit.
 """
@@ -13,20 +13,23 @@ import numpy as np
 
 from cqrun.errors import DataError
 from cqrun.measurements.recording import Recording, columns
-from cqrun.store.formats.unreadable import other_format
+from cqrun.store.formats.cells import Numbers
+from cqrun.store.formats.text import SEPARATORS, after, header_of, split, stripped
 from cqrun.units import METRES
 
 COLUMNS = ("time", "marker", "x", "y", "z")
-
-NEAR = 12
-"""So many bytes before and after a wrong one are shown."""
 
 SPARSEST, MANY = 100, 1_000_000
 """A table of so many places may have so many times as many places as lines."""
 
 
-def read_csv(path: Path, units: str | None, source: str, names: Sequence[str] | None = None) -> Recording:
-    """Read a CSV recording; a marker that has no line at some time, or nan, was not seen then.
+def is_long(header: str) -> bool:
+    """Return whether the first line of a table is that of a long one."""
+    return any(_is_head(_columns(header, separator)) for separator in SEPARATORS)
+
+
+def read_long(path: Path, units: str | None, source: str, names: Sequence[str] | None = None) -> Recording:
+    """Read a long table; a marker that has no line at some time, or nan, was not seen then.
 
     Lines may be sorted by time or by marker. Empty lines, and lines that begin with `#`, are skipped. Of markers that
     are not named only the times are kept.
@@ -54,22 +57,29 @@ def read_csv(path: Path, units: str | None, source: str, names: Sequence[str] | 
     return Recording(np.array(list(frame)), tuple(chosen), METRES[units or "m"] * positions, source)
 
 
+def _is_head(names: tuple[str, ...]) -> bool:
+    return names in (COLUMNS, COLUMNS[:4])
+
+
+def _columns(header: str, separator: str) -> tuple[str, ...]:
+    return tuple(cell.lower() for cell in stripped(split(header, separator)))
+
+
 def _lines(path: Path, source: str) -> Iterator[tuple[float, str, list[float], str]]:
     """Yield time, marker and position of each line, and how errors name the line."""
+    header, line = header_of(path, source)
+    separator = next(separator for separator in SEPARATORS if _is_head(_columns(line, separator)))
+    dim = len(_columns(line, separator)) - 2
+    numbers = Numbers([0, *range(2, dim + 2)], ["time", "x", "y", "z"], separator, source)
+    first, rows = header, csv.reader((line for _, line in after(path, source, header)), delimiter=separator)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as lines:
-            rows = csv.reader(lines)
-            dim = _header(next((row for row in rows if not _blank(row)), []), path, source)
-            for row in rows:
-                if not _blank(row):
-                    at = f"{source}:{rows.line_num}"
-                    yield *_row(row, dim, at), at
-    except UnicodeDecodeError as error:
-        near = error.object[max(0, error.start - NEAR) : error.end + NEAR].decode("latin-1")
-        what = f"not a CSV text file in UTF-8: byte 0x{error.object[error.start]:02x} in {near!r}; save it as UTF-8"
-        raise DataError(f"{source}: {other_format(path) or what}") from error
+        for row in rows:
+            if not _blank(row):
+                number = first + rows.line_num
+                yield *_row(row, dim, numbers, number, f"{source}:{number}"), f"{source}:{number}"
     except csv.Error as error:
-        raise DataError(f"{source}: {other_format(path) or f'not a CSV text file ({error})'}") from error
+        raise DataError(f"{source}: not a CSV text file ({error})") from error
+    numbers.finish()
 
 
 def _require_frames(times: int, lines: list[int], source: str) -> None:
@@ -96,32 +106,14 @@ def _blank(row: list[str]) -> bool:
     return not row or row[0].lstrip().startswith("#") or not any(cell.strip() for cell in row)
 
 
-def _header(row: list[str], path: Path, source: str) -> int:
-    """Return the dimension given by the header line."""
-    names = tuple(cell.strip().lower() for cell in row)
-    if names not in (COLUMNS, COLUMNS[:4]):
-        if other := other_format(path):
-            raise DataError(f"{source}: {other}")
-        raise DataError(
-            f"{source}: the first line must be 'time,marker,x,y,z' (2D: 'time,marker,x,y'), not '{','.join(row)[:80]}'"
-        )
-    return len(names) - 2
-
-
-def _row(row: list[str], dim: int, at: str) -> tuple[float, str, list[float]]:
+def _row(row: list[str], dim: int, numbers: Numbers, line: int, at: str) -> tuple[float, str, list[float]]:
     """Return time, marker and position of one line."""
     if len(row) != dim + 2:
         raise DataError(f"{at}: {len(row)} columns instead of {dim + 2}; is the file truncated?")
-    numbers = []
-    for name, cell in zip((*COLUMNS[:1], *COLUMNS[2:]), (row[0], *row[2:]), strict=False):
-        try:
-            numbers.append(float(cell) if cell.strip() or name == "time" else np.nan)
-        except ValueError:
-            raise DataError(f"{at}: {name} is '{cell}', which is not a number") from None
-    time, position = numbers[0], numbers[1:]
+    time, *position = numbers.row(row, line)
     if not np.isfinite(time):
         raise DataError(f"{at}: the time is {time}; every line needs a time")
-    missing = [bool(np.isnan(x)) for x in position]
+    missing = [x != x for x in position]
     if any(missing) and not all(missing):
         raise DataError(
             f"{at}: some coordinates of marker '{row[1].strip()}' are nan and some are not; "

@@ -1,4 +1,4 @@
-"""Recognise files of other programs that hold recordings in a form that cqrun does not read, and say what to do."""
+"""Recognise files that cqrun does not read as recordings, and say what to do."""
 
 from __future__ import annotations
 
@@ -14,26 +14,7 @@ _BY_BEGINNING = (
     (b"\xff\xfe", "text in UTF-16", "save it as UTF-8"),
     (b"\xfe\xff", "text in UTF-16", "save it as UTF-8"),
 )
-_BY_TEXT = (
-    (r"Format Version\s*,", "a CSV file of OptiTrack Motive", f"export the take as C3D in Motive, or {LONG}"),
-    (
-        r"(Trajectories|Devices|Model Outputs|Joints|Segments)[\s,]",
-        "a CSV file of Vicon",
-        f"export the trial as C3D in Vicon, or {LONG}",
-    ),
-    (
-        r"NO_OF_FRAMES\s",
-        "a TSV file of Qualisys",
-        f"export the measurement as C3D in Qualisys Track Manager, or {LONG}",
-    ),
-    (
-        r"PathFileType\s",
-        "a TRC file (OpenSim, Cortex)",
-        f"export the recording as C3D in the program that recorded it, or {LONG}",
-    ),
-    (r"scorer\s*,", "a CSV file of DeepLabCut", f"turn pixels into lengths, and {LONG}"),
-)
-_COORDINATE = re.compile(r"(.+?)[\s_.:\-\[(]*[xyz][\])]?", re.IGNORECASE)
+_DEEPLABCUT = re.compile(r"scorer\s*[,;\t]")
 
 
 def other_format(path: Path) -> str:
@@ -49,20 +30,6 @@ def other_format(path: Path) -> str:
     for beginning, what, advice in _BY_BEGINNING:
         if data.startswith(beginning):
             return f"is {what}: {advice}"
-    text = data.decode("utf-8-sig", errors="replace").lstrip()
-    for pattern, what, advice in _BY_TEXT:
-        if re.match(pattern, text):
-            return f"is {what}, which cqrun does not read: {advice}"
-    return _table(text.splitlines()[0] if text else "")
-
-
-def _table(header: str) -> str:
-    """Return what is unusual in the first line of a table, or nothing."""
-    for separator, name in (("\t", "tabs"), (";", "semicolons")):
-        if header.count(separator) >= 2:
-            return f"has columns that are separated by {name}: write commas, and points in numbers"
-    columns = [column.strip(' "') for column in header.split(",")]
-    of = [match[1].casefold() for column in columns if (match := _COORDINATE.fullmatch(column))]
-    if len(of) >= 2 and len(set(of)) < len(of):
-        return f"has a column for each coordinate of each marker, which cqrun does not read: {LONG}"
+    if _DEEPLABCUT.match(data.decode("utf-8-sig", errors="replace").lstrip()):
+        return f"is a CSV file of DeepLabCut, which cqrun does not read: turn pixels into lengths, and {LONG}"
     return ""
