@@ -42,10 +42,14 @@ class Markers(Measurement):
     If the recording has `still` frames, its axes are aligned to the rest positions, and each marker's displacement from
     its mean over these frames is compared. If not, positions in the axes of the scene are compared. A marker off the
     body stands on a rigid stem. `offset` is added to what is compared, for all markers alike; as an unknown it absorbs
-    a shift of the cameras. The file is C3D, CSV with the columns time, marker, x, y(, z), or a trajectory.h5.
+    a shift of the cameras.
 
-    A gap is a missing line, `nan`, or a negative residual in C3D. Exact zeros, and leaps that no body makes, count as
-    not seen, and are reported. Times in a C3D file count from the first frame in the file, whatever its number is.
+    The file is C3D, a trajectory.h5, TRC, text of Motive, Vicon or Qualisys, or a table: with the columns time, marker,
+    x, y(, z), or with a column for each coordinate such as tip_x. docs/recordings.md has an example of each.
+
+    A gap is a missing line, an empty cell, `nan`, or a negative residual in C3D. Exact zeros, and leaps that no body
+    makes, count as not seen, and are reported. Times in a C3D or Vicon file count from the first frame in the file,
+    whatever its number is.
     """
 
     model_config = ConfigDict(extra="allow")

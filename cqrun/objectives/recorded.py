@@ -20,10 +20,12 @@ class RecordedPath(Spec):
     to exact zeros, they are gaps. The path across a gap is straight.
     """
 
-    file: FileName = Field(description="C3D, CSV or trajectory file, from the scene's folder", min_length=1)
+    file: FileName = Field(
+        description="Recording of markers (C3D, CSV, TSV, TRC, a trajectory), from the scene's folder", min_length=1
+    )
     marker: str = Field(description="Name of the marker in the file", min_length=1)
     start: float = quantity(
-        "s", "Time in the file at which the run begins; the first frame of a C3D file is at 0", default=0.0
+        "s", "Time in the file at which the run begins; the first frame of a C3D or Vicon file is at 0", default=0.0
     )
     units: LengthUnit | None = Field(description="Length unit of the file, if it does not name one", default=None)
     relative: bool = Field(description="Whether to follow the displacement, not the position", default=False)

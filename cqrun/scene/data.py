@@ -45,10 +45,13 @@ class Recording(PluginKeys):
 
     keys_of: ClassVar[str] = "measurement"
 
-    file: FileName = Field(min_length=1, description="File with the measured data, from the scene's folder")
+    file: FileName = Field(
+        min_length=1,
+        description="File with the measured data, from the scene's folder; docs/recordings.md shows every format",
+    )
     start: float = quantity(
         "s",
-        "Time in the file at which the run begins; the first frame of a C3D file is at 0",
+        "Time in the file at which the run begins; the first frame of a C3D or Vicon file is at 0",
         differentiable=True,
         default=0.0,
     )

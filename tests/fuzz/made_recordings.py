@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 from made_c3d import DEC, INTEL, MIPS, hand_made, write_c3d
+from made_tables import motive, qualisys, trc, vicon, wide
 
 from cqrun.measurements.recording import Recording
 from cqrun.store.formats.long_table import write_csv
@@ -97,6 +98,8 @@ def originals(folder: Path) -> list[Original]:
     found += [Original(".c3d", file.read_bytes(), own_axes=True) for file in sorted(SHARED.glob("*.c3d"))]
     write_csv(recording, path)
     found += 5 * [Original(".csv", path.read_bytes())]
+    for make, suffix in ((wide, ".csv"), (motive, ".csv"), (vicon, ".csv"), (qualisys, ".tsv"), (trc, ".trc")):
+        found.append(Original(suffix, make(mm, NAMES, 50.0).encode()))
     numbered = tuple(map(str, range(len(NAMES))))
     return found + [Original(".h5", content, numbered) for content in _trajectories(folder, recording.time, seen)]
 
@@ -143,7 +146,7 @@ HEADERS = (
 
 def damaged(original: Original, rng: np.random.Generator) -> bytes:
     """Return the content of a recording with one to three damages."""
-    kinds = TEXTS if original.suffix == ".csv" else BINARIES
+    kinds = BINARIES if original.suffix in (".c3d", ".h5") else TEXTS
     content = original.content
     for _ in range(int(rng.choice([1, 2, 3], p=[0.6, 0.3, 0.1]))):
         content = kinds[rng.integers(len(kinds))](content, rng)
@@ -181,9 +184,10 @@ def _part(content: bytes, rng: np.random.Generator) -> bytes:
 def _cell(content: bytes, rng: np.random.Generator) -> bytes:
     lines = content.split(b"\n")
     at = int(rng.integers(len(lines)))
-    cells = lines[at].split(b",")
+    separator = b"\t" if b"\t" in lines[at] else b","
+    cells = lines[at].split(separator)
     cells[rng.integers(len(cells))] = TOKENS[rng.integers(len(TOKENS))]
-    lines[at] = b",".join(cells)
+    lines[at] = separator.join(cells)
     return b"\n".join(lines)
 
 
