@@ -109,7 +109,7 @@ def test_a_missing_file(refused, tmp_path):
     assert "there is no file '" in refused(tmp_path / "none.c3d")
 
 
-@pytest.mark.parametrize("suffix", [".c3d", ".csv", ".h5"])
+@pytest.mark.parametrize("suffix", [".c3d", ".csv", ".trc", ".h5"])
 def test_an_empty_file(refused, tmp_path, suffix):
     (tmp_path / f"empty{suffix}").write_bytes(b"")
     assert "the file is empty" in refused(tmp_path / f"empty{suffix}")
@@ -134,8 +134,10 @@ def test_a_file_that_is_not_c3d(refused, tmp_path):
 
 
 def test_another_format(refused, tmp_path):
-    (tmp_path / "swing.txt").write_text("x")
-    assert "a recording ends in .c3d, .csv, .h5, not in '.txt'" in refused(tmp_path / "swing.txt")
+    (tmp_path / "swing.dat").write_text("x")
+    assert "a recording ends in .c3d, .csv, .tsv, .txt, .trc, .h5, not in '.dat'" in refused(tmp_path / "swing.dat")
+    (tmp_path / "swing.txt").write_text("something else")
+    assert "swing.txt:1: the first line must name the columns: time,marker,x,y,z" in refused(tmp_path / "swing.txt")
 
 
 def test_millimetres(refused, tmp_path, positions):

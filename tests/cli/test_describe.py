@@ -115,7 +115,7 @@ def test_a_misspelt_part_gets_a_suggestion():
 
 
 def test_pages_say_when_a_recording_begins():
-    first = "the first frame of a C3D file is at 0"
+    first = "the first frame of a C3D or Vicon file is at 0"
     assert first in page("data")
     assert first in page("objective", "track")
-    assert "Times in a C3D file count from the first frame in the file" in page("measurement", "markers")
+    assert "Times in a C3D or Vicon file count from the first frame in the file" in page("measurement", "markers")
