@@ -111,17 +111,19 @@ def kernel_hash() -> str:
 
 
 def set_kernel_cache() -> Path:
-    """Set numba's cache to a folder for exactly these kernels, unless the user has set a folder.
+    """Set numba's cache to a folder for exactly these kernels, in the user's folder for caches, or where they say.
 
-    Call it before numba is imported, or at the latest before any kernel is defined.
+    The folder is named by the hash of the kernels: numba does not notice a change of a helper in another file. Call it
+    before numba is imported, or at the latest before any kernel is defined.
 
     Returns:
         The folder in use, which changes with `add_kernels`; numba makes it when it first writes there.
     """
-    if not os.environ.get(CACHE_VARIABLE):
+    given = os.environ.get(CACHE_VARIABLE)
+    if given is None or Path(given).name != kernel_hash():  # a child process finds the folder itself
         import platformdirs
 
-        os.environ[CACHE_VARIABLE] = str(Path(platformdirs.user_cache_dir("cqrun")) / kernel_hash())
+        os.environ[CACHE_VARIABLE] = str(Path(given or platformdirs.user_cache_dir("cqrun")) / kernel_hash())
         if "numba" in sys.modules:  # it has read its environment already
             sys.modules["numba"].config.reload_config()
     return Path(os.environ[CACHE_VARIABLE]) / _plugin_folder()

@@ -60,9 +60,9 @@ def test_every_listed_source_exists():
 
 
 AFTERWARDS = {
-    "ablation", "api", "axes", "bench", "bodies", "compress", "excerpt", "export", "extrapolation", "fleet", "grids",
-    "kernels", "observables", "oscillation", "quantities", "reporter", "runs", "seeds", "selfcheck", "threads",
-    "trajectories", "validate", "warmup",
+    "ablation", "api", "autograd", "axes", "bench", "bodies", "compress", "excerpt", "export", "extrapolation", "fleet",
+    "given_values", "grids", "kernels", "observables", "oscillation", "own_loss", "quantities", "reporter", "runs",
+    "seeds", "selfcheck", "threads", "trajectories", "validate", "warmup",
 }  # fmt: skip
 """Modules of jobs and of running that compute before a run, after it, or without one."""
 
@@ -123,23 +123,26 @@ def test_kernels_that_use_a_plug_in_have_their_own_cache_folder(tmp_path, monkey
     with sandbox():
         fingerprint.add_kernels("law_1")
         first = fingerprint.set_kernel_cache()
-        assert first.parent == tmp_path
+        assert first.parent == tmp_path / fingerprint.kernel_hash()
         assert Path(share._cache.cache_path).parent == first
         fingerprint.add_kernels("law_2")
         both = fingerprint.set_kernel_cache()
-        assert both not in (first, tmp_path)
+        assert both not in (first, first.parent)
     with sandbox():
         fingerprint.add_kernels("law_2")
         assert fingerprint.set_kernel_cache() not in (first, both)
         fingerprint.add_kernels("law_1")
         assert fingerprint.set_kernel_cache() == both
-    assert fingerprint.set_kernel_cache() == tmp_path
-    assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path)  # a child process has its own files
+    own = tmp_path / fingerprint.kernel_hash()
+    assert fingerprint.set_kernel_cache() == own
+    assert os.environ["NUMBA_CACHE_DIR"] == str(own)  # a child process has its own files
 
 
-def test_the_users_own_cache_folder_wins(monkeypatch, tmp_path):
+def test_kernels_are_kept_in_the_users_folder_below_their_hash(monkeypatch, tmp_path):
+    """Numba does not notice a change of a helper in another file, so another version needs another folder."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert fingerprint.set_kernel_cache() == tmp_path
+    assert fingerprint.set_kernel_cache() == tmp_path / fingerprint.kernel_hash()
+    assert fingerprint.set_kernel_cache() == tmp_path / fingerprint.kernel_hash()  # as in a child process
 
 
 @pytest.mark.parametrize("first", ["", "import numba; "], ids=["before numba", "after numba"])

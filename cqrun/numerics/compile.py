@@ -101,9 +101,18 @@ class SharedIndex(caching.IndexDataCacheFile):
 caching.IndexDataCacheFile = SharedIndex
 
 
+PACKAGE = Path(__file__).absolute().parents[1]
+
+
 def _folder_in_cache(cls: type, file: str) -> str:
-    """Return the folder of a source file's kernels, as Numba does, also if the file's path is not UTF-8."""
+    """Return the folder of a source file's kernels: for the package its own folder's name, the same for all copies.
+
+    The cache's folder is named by the hash of the sources, so copies of the package, such as clones and environments,
+    share what one of them has compiled. Elsewhere it is named as Numba does, also if the file's path is not UTF-8.
+    """
     folder = Path(file).absolute().parent
+    if folder.is_relative_to(PACKAGE):
+        return "_".join(("cqrun", *folder.relative_to(PACKAGE).parts))
     return f"{folder.name}_{hashlib.sha1(os.fsencode(folder)).hexdigest()}"
 
 

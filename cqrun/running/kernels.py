@@ -65,12 +65,11 @@ def processor() -> tuple[str, ...]:
 
 
 def mark_of(words: str) -> Path:
-    """Return the file that marks a composition as compiled, for this processor and this installation.
+    """Return the file that marks a composition as compiled, for this processor.
 
-    Numba compiles again for both, and computers of several kinds may share a home.
+    Numba compiles again for another one, and computers of several kinds may share a home.
     """
-    where = (*processor(), str(Path(__file__).parent))
-    digest = hashlib.sha256("\0".join((words, *where)).encode(errors="surrogateescape")).hexdigest()[:12]
+    digest = hashlib.sha256("\0".join((words, *processor())).encode()).hexdigest()[:12]
     return set_kernel_cache() / f"compiled-{digest}.txt"
 
 

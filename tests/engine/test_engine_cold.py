@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -21,22 +22,28 @@ print(hashlib.sha256(motion.x.tobytes() + motion.v.tobytes()).hexdigest())
 """
 
 
-def digest(cache: Path) -> str:
-    """Return the digest of a motion that another process computes with its own kernel cache."""
+def digest(cache: Path, root: Path = ROOT) -> str:
+    """Return the digest of a motion that another process computes with a cache, from a copy of the package."""
     variables = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
-    variables |= {"XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(ROOT)}
+    variables |= {"XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(root)}
     done = subprocess.run(
-        [sys.executable, "-c", DIGEST], input=BEAM, env=variables, cwd=ROOT, text=True, capture_output=True, check=False
+        [sys.executable, "-c", DIGEST], input=BEAM, env=variables, cwd=root, text=True, capture_output=True, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the cache's folder is moved by XDG_CACHE_HOME")
-def test_first_run_on_a_machine_is_any_later_run(tmp_path):
-    cold = digest(tmp_path)
-    assert list(tmp_path.rglob("*.nbc")) or config.DISABLE_JIT
-    assert digest(tmp_path) == cold
+def test_first_run_on_a_machine_is_any_later_run_also_of_another_copy(tmp_path):
+    """Copies of the package, such as clones and environments, share what one of them has compiled."""
+    cache, copy = tmp_path / "cache", tmp_path / "copy"
+    cold = digest(cache)
+    compiled = sorted(cache.rglob("*.nbc"))
+    assert compiled or config.DISABLE_JIT
+    assert digest(cache) == cold
+    shutil.copytree(ROOT / "cqrun", copy / "cqrun", ignore=shutil.ignore_patterns("__pycache__"))
+    assert digest(cache, copy) == cold
+    assert sorted(cache.rglob("*.nbc")) == compiled
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
