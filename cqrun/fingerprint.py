@@ -47,6 +47,7 @@ NUMERIC = (
     "running/drift.py",
     "running/finite_differences.py",
     "running/gradient_memory.py",
+    "running/extra_fields.py",
     "running/measuring.py",
     "running/passing.py",
     "running/reaction_table.py",

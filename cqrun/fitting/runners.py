@@ -20,6 +20,7 @@ from cqrun.explain import listed
 from cqrun.plugin.contract import Array
 from cqrun.running.cost import about
 from cqrun.running.drift import drift_findings
+from cqrun.running.extra_fields import ExtraFields
 from cqrun.running.measuring import Measuring
 from cqrun.running.passing import Passing
 from cqrun.running.reaction_table import with_reactions
@@ -165,12 +166,12 @@ class AtRest:
     ) -> list[str]:
         """Write a trajectory with the rest shape and a frame for every point."""
         inputs = [inputs_of(self.built, point, values) for point in self.points]
-        neutral = self.built.assembly.actuation.neutral
+        neutral, extra = self.built.assembly.actuation.neutral, ExtraFields(self.built)
         with rest_frames(path, self.built, len(self.points), provenance) as writer:
 
             def note(number: int, state: State) -> None:
-                write_frame(writer, state, number)
                 here = inputs[max(number - 1, 0)]
+                write_frame(writer, state, number, extra.at(state, here))
                 measuring.look(state, here, here.activation[-1] if number else neutral)
 
             records = self._find(values, threads, note)[1]

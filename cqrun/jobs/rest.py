@@ -29,6 +29,7 @@ from cqrun.engine.statics.path import Point, RestPath
 from cqrun.errors import Problem, SceneError, StopAsked
 from cqrun.jobs.job import NO_FILES, Job
 from cqrun.running.bodies import report_bodies, resolved_lines
+from cqrun.running.extra_fields import ExtraFields
 from cqrun.running.measuring import Measuring, measured_lines, write_measured
 from cqrun.running.passing import Passing
 from cqrun.running.reporter import Reporter
@@ -95,19 +96,21 @@ class RestJob(Job[Resting, RestResult]):
         found: list[RestPoint] = []
         rows, passing = RestTable(built, points), Passing(built)
         measuring, neutral = Measuring(built), built.assembly.actuation.neutral
+        extra, rest_shape = ExtraFields(built), path.start.state(path.rest_shape)
         with rest_frames(run.path / "trajectory.h5", built, len(points)) as writer:
-            write_frame(writer, path.start.state(path.rest_shape), 0)
-            measuring.look(path.start.state(path.rest_shape), inputs[0], neutral)
+            write_frame(writer, rest_shape, 0, extra.at(rest_shape, inputs[0]))
+            measuring.look(rest_shape, inputs[0], neutral)
 
             def observe(k: int, here: Equilibrium, point: Point) -> None:
                 facts = _facts(point)
                 write_point(run.path, k, point.rest.u, facts)
                 found.append(RestPoint(values=points[k], **facts))
                 if point.rest.converged:
+                    state = here.state(point.rest.u)
                     rows.add(here, point.rest.u, facts)
-                    passing.look(f"point {k + 1}", here.state(point.rest.u))
-                    write_frame(writer, here.state(point.rest.u), k + 1)
-                    measuring.look(here.state(point.rest.u), inputs[k], inputs[k].activation[-1])
+                    passing.look(f"point {k + 1}", state)
+                    write_frame(writer, state, k + 1, extra.at(state, inputs[k]))
+                    measuring.look(state, inputs[k], inputs[k].activation[-1])
                 rows.save(run.path / "rest.csv")
                 talk.advance(k + 1, len(points), f"point {k + 1} of {len(points)}, {point.products} products")
 

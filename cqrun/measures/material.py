@@ -115,11 +115,15 @@ class MeanStress(OfMaterial):
         self.low, self.high = np.full(len(self.i), -1.0e5), np.full(len(self.i), 1.0e5)
 
     def values(self, track: Track) -> Array:
-        out = np.zeros((len(track.F), len(self.entries)))
+        return np.asarray(self.each(track).mean(axis=1))
+
+    def each(self, track: Track) -> Array:
+        """Return the stress of every particle of the part (T+1, n, components)."""
+        out = np.zeros((len(track.F), len(self.at), len(self.entries)))
         for rows, terms, thetas, F, C in self._pieces(track):
             tau = _sum(kirchhoff(term, theta, F, C, ()) for term, theta in zip(terms, thetas, strict=True))
             for k, entry in enumerate(self.entries):
-                out[rows, k] = (tau[entry] / det(F)).reshape(-1, len(self.at)).mean(axis=1)
+                out[rows, :, k] = (tau[entry] / det(F)).reshape(-1, len(self.at))
         return out
 
     def values_vjp(self, track: Track, bar: Array) -> TrackBar:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from cqrun.build.model import Built
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.fingerprint import engine_hash
 from cqrun.plugin.contract import Array
+from cqrun.running.extra_fields import ExtraFields, groups_of
 from cqrun.scene.load import dump, resolve
 from cqrun.state import State
 from cqrun.store.atomic import write_table
@@ -38,12 +40,16 @@ def rest_frames(path: Path, built: Built, points: int, provenance: Mapping[str, 
     bodies = {name: particles.of(name) for name in particles.names}
     attributes = {"scene": dump(resolve(built.scene)), "engine": engine_hash(), "seed": built.scene.seed}
     attributes |= provenance or {}
-    return TrajectoryWriter(path, points + 1, bodies, model.dim, {"v": (model.dim,), "J": ()}, attributes)
+    fields = {"v": (model.dim,), "J": (), **ExtraFields(built).shapes}
+    return TrajectoryWriter(path, points + 1, bodies, model.dim, fields, attributes, groups_of(built))
 
 
-def write_frame(writer: TrajectoryWriter, state: State, number: int) -> None:
-    """Write the particles at a point as a frame."""
-    writer.write(writer.written, float(number), x=state.x, v=state.v, J=np.linalg.det(state.F))
+def write_frame(
+    writer: TrajectoryWriter, state: State, number: int, more: Mapping[str, Array] = MappingProxyType({})
+) -> None:
+    """Write the particles at a point as a frame, with more fields by name."""
+    J = np.linalg.det(state.F)
+    writer.write(writer.written, float(number), x=state.x, v=state.v, J=J, **more)
 
 
 class RestTable:

@@ -18,6 +18,7 @@ from cqrun.errors import InfeasibleError, Problem, RunError, SceneError, UsageEr
 from cqrun.optimizers.base import Optimizer
 from cqrun.optimizers.constrained import VIOLATION
 from cqrun.plugin.contract import Array
+from cqrun.running.extra_fields import ExtraFields
 from cqrun.running.reporter import Reporter
 from cqrun.scene.files import DATA, READ_BY_EVERY_JOB, files_by_name, named_files, unreadable_files
 from cqrun.scene.keypath import joined
@@ -34,7 +35,8 @@ EXTENDED = "`cqrun resume` has given it more iterations than this scene has"
 def build_and_warn(scene: Scene, talk: Reporter) -> Built:
     """Build a scene and report its warnings."""
     built = build(scene)
-    bound_measures(built)  # reports quantities that do not fit
+    bound_measures(built)  # report quantities and fields that do not fit
+    ExtraFields(built)
     for warning in built.warnings:
         talk.warn(str(warning))
     return built

@@ -13,15 +13,13 @@ from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.fingerprint import engine_hash
 from cqrun.plugin.contract import Array
+from cqrun.running.extra_fields import ExtraFields, groups_of
 from cqrun.running.measuring import Measuring
 from cqrun.scene.load import dump, resolve
 from cqrun.state import State
 from cqrun.store.atomic import write_table
 from cqrun.store.reactions import Reactions
 from cqrun.store.trajectory import TrajectoryWriter
-
-FRAMES = 300
-"""Largest number of frames after the first in a trajectory; they are spread evenly over the control steps."""
 
 MANY = 100
 """If a value has more numbers than this, only its range is stored, because attributes of HDF5 hold 64 KiB at most."""
@@ -52,17 +50,17 @@ def write_trajectory(
         The records of the probe, and whether the run reached its end.
     """
     model, particles = built.model, built.particles
-    every = -(-model.n_controls // FRAMES)
+    every, extra = -(-model.n_controls // built.scene.trajectory.frames), ExtraFields(built)
     n_frames = -(-model.n_controls // every) + 1
     bodies = {name: particles.of(name) for name in particles.names}
     fields: dict[str, tuple[int, ...]] = {"v": (model.dim,), "J": ()}
     if model.actuators:
         fields["activation"] = ()
-    fields |= {field.name: field.shape for field in model.layout.history}
+    fields |= {field.name: field.shape for field in model.layout.history} | extra.shapes
     attributes = {"scene": dump(resolve(built.scene)), "engine": engine_hash(), "seed": built.scene.seed}
     attributes |= provenance or {}
     step = built.scene.time.control_step
-    with TrajectoryWriter(path, n_frames, bodies, model.dim, fields, attributes) as writer:
+    with TrajectoryWriter(path, n_frames, bodies, model.dim, fields, attributes, groups_of(built)) as writer:
 
         def observe(control: int, state: State) -> None:
             if progress is not None:
@@ -73,7 +71,7 @@ def write_trajectory(
                 values = {"x": state.x, "v": state.v, "J": np.linalg.det(state.F), "step": np.asarray(control)}
                 if model.actuators:
                     values["activation"] = on_particles(rollout, max(control - 1, 0))
-                values |= state.history
+                values |= state.history | extra.at(state, rollout.inputs)
                 writer.write(writer.written, control * step, **values)
 
         records = rollout.run(observe, should_stop)

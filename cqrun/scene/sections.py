@@ -16,7 +16,7 @@ from cqrun.scene.control import Episodes, Goal
 from cqrun.scene.data import Data, Recording, Synthetic, Unknown
 from cqrun.scene.fields import Memory, Name, Seed
 from cqrun.scene.load_path import PathValues
-from cqrun.scene.world_and_time import Time, World
+from cqrun.scene.world_and_time import Time, TrajectoryFile, World
 
 if TYPE_CHECKING:
     from cqrun.measurements.measurement import Measurement
@@ -85,6 +85,10 @@ class Sections(Spec):
     start: Literal["rest_shape", "equilibrium"] = Field(
         description="Where a motion starts: in the rest shape, or at rest under the first loads and activations",
         default="rest_shape", exclude_if=lambda start: start == "rest_shape",
+    )  # fmt: skip
+    trajectory: TrajectoryFile = Field(
+        description="Fields and frames of trajectory.h5", default_factory=TrajectoryFile,
+        exclude_if=lambda trajectory: trajectory == TrajectoryFile(),
     )  # fmt: skip
     time: Time = Field(description="Duration and steps")
     data: Data | None = Field(description="Data that the run is fitted to", default=None)

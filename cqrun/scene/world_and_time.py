@@ -1,4 +1,4 @@
-"""Sections `world` and `time`: the box of the simulation and its grid, the duration of a run and its steps."""
+"""Sections `world`, `time` and `trajectory`: the box and its grid, the duration and its steps, and what is kept."""
 
 from __future__ import annotations
 
@@ -46,6 +46,20 @@ class World(Spec):
     gravity: Annotated[list[float], FilledIn("zero vector")] = vector(
         "m/s^2", "Gravity; zero if absent", differentiable=True
     )
+
+
+class TrajectoryFile(Spec):
+    """What a trajectory holds beside positions, velocities and volume ratios."""
+
+    fields: list[Literal["strain", "stress"]] = Field(
+        description="More fields of every particle: `strain`, the Green strain; `stress`, the Cauchy stress of the "
+        "material [Pa]",
+        default_factory=list,
+    )
+    frames: int = Field(
+        description="Largest number of frames after the first; they are spread evenly over the control steps", ge=1,
+        le=1_000_000, default=300,
+    )  # fmt: skip
 
 
 class Time(Spec):

@@ -27,6 +27,10 @@ def part_path(path: Path) -> Path:
     return path.with_name(path.name + ".part")
 
 
+STANDING = ("body", "group")
+"""Fields of particles that do not change."""
+
+
 class Frames:
     """An open trajectory, perhaps incomplete or still being written by another process; a context manager.
 
@@ -67,7 +71,7 @@ class Frames:
         particles = self._file["particles"]
         bodies = json.loads(text(particles, "bodies"))
         self.bodies = {name: slice(int(start), int(stop)) for name, (start, stop) in bodies.items()}
-        self.fields = tuple(name for name in particles if name != "body")
+        self.fields = tuple(name for name in particles if name not in STANDING)
         last = max(part.stop for part in self.bodies.values())
         for name in self.fields:
             _require_room(self._field(name), (count, last))

@@ -2,12 +2,15 @@
 
     /time (T) f8   /step (T) i8   /frames () i8: number of written frames
     /particles/x (T, N, D) f8   v (T, N, D) f4   further fields (T, N, ...)   body (N) i4
+    /particles/group (N) i4: number of the last group that contains a particle, in the order of the attribute `groups`;
+        -1 for none
     /particles attributes: names of the bodies, and first and last particle of each       / attributes: provenance
     /measured: quantities that the scene names, over time (measured.py)
     /reactions: forces and moments of boundaries, if the run recorded them (reactions.py)
     /checksums/x, v, ... (T) u4: CRC-32 of each frame of a field; without them a damaged index reads as zeros
     /VTKHDF: the same data in ParaView's format, as virtual datasets without a copy (vtkhdf.py)
 
+trajectory.vtkhdf is a small file that links to /VTKHDF. By this ending ParaView and `pyvista.read` know the format.
 Datasets have the attributes `unit` and `long_name`.
 
 While a trajectory is written, its name is `<name>.part`. It has contiguous datasets of full size, which are made and
@@ -22,15 +25,15 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from cqrun.disk import make_empty, sync_directory
 from cqrun.plugin.contract import Array
-from cqrun.store.atomic import disk_errors, make_directory, require_room
-from cqrun.store.frames import Frames, part_path
+from cqrun.store.atomic import disk_errors, make_directory, replacing, require_room
+from cqrun.store.frames import STANDING, Frames, part_path
 from cqrun.store.hdf5 import checksum
 from cqrun.store.measured import MeasuredQuantities
 from cqrun.store.reactions import Reactions
@@ -50,6 +53,9 @@ MEANINGS = {
     "J": ("1", "volume divided by that at rest, det F"),
     "activation": ("1", "activation of the actuators on the particle"),
     "body": ("1", "number of the body, in the order of the attribute `bodies` of the group"),
+    "group": ("1", "number of the last group that contains it, in the order of the attribute `groups`; -1 for none"),
+    "strain": ("1", "Green strain: xx, yy, (zz,) xy(, xz, yz)"),
+    "stress": ("Pa", "Cauchy stress of the material: xx, yy, (zz,) xy(, xz, yz)"),
 }
 """Unit and meaning of datasets, by name."""
 
@@ -102,6 +108,7 @@ class TrajectoryWriter:
         bodies: slice of the particles of each body; together they cover 0 to N.
         dim: 2 or 3.
         fields: shape of each further field after (T, N), such as {"v": (dim,), "activation": ()}.
+        groups: indices of the particles of each group, by name.
         provenance: attributes of the file: strings, numbers, or values that JSON can represent.
 
     Raises:
@@ -116,6 +123,7 @@ class TrajectoryWriter:
         dim: int,
         fields: Mapping[str, Sequence[int]],
         provenance: Mapping[str, Any],
+        groups: Mapping[str, Array] = MappingProxyType({}),
     ) -> None:
         self.path, self.part = path, part_path(path)
         self.n_frames, self.written = n_frames, 0
@@ -129,6 +137,7 @@ class TrajectoryWriter:
             make_empty(beginning)
             with _open_for_writing(beginning, "w") as file:
                 self._lay_out(file, dict(bodies), dict(provenance))
+                _add_groups(file, groups)
             beginning.replace(self.part)
             self._file = _open_for_writing(self.part, "r+")
 
@@ -183,6 +192,7 @@ class TrajectoryWriter:
             self._file.close()
             packed.replace(self.path)
             self.part.unlink()
+            _link_for_vtk(self.path)
             sync_directory(self.path.parent)
 
     def abandon(self) -> None:
@@ -207,7 +217,7 @@ class TrajectoryWriter:
             np.dtype(POSITION_TYPE if name == POSITION else FIELD_TYPE).itemsize * int(np.prod(shape, dtype=int))
             for name, shape in self._shapes.items()
         )
-        return self.n_frames * (count * a_particle + 256) + 32 * count
+        return self.n_frames * (count * a_particle + 256) + 40 * count
 
     def _lay_out(self, file: h5py.File, bodies: dict[str, slice], provenance: dict[str, Any]) -> None:
         count = max(part.stop for part in bodies.values())
@@ -226,6 +236,23 @@ class TrajectoryWriter:
         file.attrs["provenance"] = json.dumps(provenance)
         for name, value in provenance.items():
             file.attrs[name] = value if isinstance(value, str | int | float) else json.dumps(value)
+
+
+def _add_groups(file: h5py.File, groups: Mapping[str, Array]) -> None:
+    """Write the number of the last group that contains each particle, and the names of the groups."""
+    number = np.full(len(file["particles/body"]), -1, "i4")
+    for k, members in enumerate(groups.values()):
+        number[members] = k
+    file["particles/group"] = number
+    file["particles"].attrs["groups"] = json.dumps(list(groups))
+
+
+def _link_for_vtk(path: Path) -> None:
+    """Write a small file beside a trajectory that links to its view for ParaView, and is named as pyvista expects."""
+    import h5py
+
+    with replacing(path.with_suffix(".vtkhdf")) as beside, _open_for_writing(beside, "w") as file:
+        file["VTKHDF"] = h5py.ExternalLink(path.name, "/VTKHDF")
 
 
 def _open_for_writing(path: Path, mode: str) -> h5py.File:
@@ -256,9 +283,10 @@ def _pack(source: h5py.File, target: h5py.File, frames: int) -> None:
     target["frames"] = np.int64(frames)
     particles = target.create_group("particles")
     particles.attrs.update(source["particles"].attrs)
-    particles["body"] = source["particles/body"][()]
+    for name in STANDING:
+        particles[name] = source[f"particles/{name}"][()]
     for name, data in source["particles"].items():
-        if name == "body":
+        if name in STANDING:
             continue
         packed = particles.create_dataset(
             name,

@@ -14,6 +14,7 @@ import numpy as np
 
 from cqrun.plugin.contract import Array
 from cqrun.store.atomic import replacing
+from cqrun.store.frames import STANDING
 
 if TYPE_CHECKING:
     import h5py
@@ -44,7 +45,7 @@ def add_vtk_view(file: h5py.File) -> None:
     for name, source in file["particles"].items():
         if name == "x":
             continue
-        if name == "body":
+        if name in STANDING:
             data[name] = source  # a hard link: the same for every step
             offsets[name] = zeros
         else:

@@ -182,6 +182,36 @@ def test_a_controller_learns_from_quantities_and_is_judged_by_them(tmp_path):
     assert list(result.measured) == NAMES
 
 
+def test_a_trajectory_has_strain_and_stress_if_the_scene_asks_for_them(tmp_path):
+    scene = written(
+        tmp_path, trajectory={"fields": ["strain", "stress"], "frames": 5}, measure={"root": MEASURE["root"]}
+    )
+    run = run_simulate(scene, [], tmp_path / "results")
+    trajectory = read_trajectory(run / "trajectory.h5")
+    strain, stress = trajectory.fields["strain"], trajectory.fields["stress"]
+    assert strain.shape == stress.shape == (6, 80, 3)
+    x = trajectory.fields["x"][0]
+    root = (x >= [0.04, 0.2]).all(axis=1) & (x <= [0.06, 0.22]).all(axis=1)
+    assert stress[-1][root].mean(axis=0) == pytest.approx([table_of(run)[f"root.{c}"][-1] for c in ("xx", "yy", "xy")],
+                                                          rel=1e-5)  # fmt: skip
+    J = trajectory.fields["J"]
+    volume = np.sqrt((1 + 2 * strain[..., 0]) * (1 + 2 * strain[..., 1]) - 4 * strain[..., 2] ** 2)
+    assert volume == pytest.approx(J, rel=1e-4)
+    with h5py.File(run / "trajectory.h5") as file:
+        assert file["particles/stress"].attrs["unit"] == "Pa"
+        assert "stress" in file["VTKHDF/PointData"]
+    points = REST.run(scene, ["actuators=null", "job=rest"], tmp_path / "results")
+    assert read_trajectory(points / "trajectory.h5").fields["stress"].shape == (2, 80, 3)
+
+
+def test_stress_that_is_not_known_is_refused_before_a_run(tmp_path):
+    scene = written(tmp_path, trajectory={"fields": ["stress"]}, measure={})
+    with pytest.raises(
+        SceneError, match=r"trajectory\.fields: the Cauchy stress is not known where volumes are averaged"
+    ):
+        list(validate(scene, ["world.volume=averaged"]))
+
+
 def test_validate_lists_the_quantities(tmp_path):
     lines = [re.sub(" +", " ", line) for line in validate(written(tmp_path))]
     assert " measured tip: displacement from rest [m], x, y" in lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import signal
 import subprocess
@@ -48,7 +49,7 @@ def test_a_trajectory_is_read_as_it_was_written(tmp_path, dim):
     with write(tmp_path / "t.h5", dim):
         assert not (tmp_path / "t.h5").exists()
     back = read_trajectory(tmp_path / "t.h5")
-    assert [p.name for p in tmp_path.iterdir()] == ["t.h5"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["t.h5", "t.vtkhdf"]
     assert (back.complete, back.bodies, back.provenance) == (True, BODIES, PROVENANCE)
     np.testing.assert_array_equal(back.time, 0.1 * np.arange(FRAMES))
     np.testing.assert_array_equal(back.step, 17 * np.arange(FRAMES))
@@ -209,3 +210,31 @@ def test_killed_at_random_moments(tmp_path):
         reached.append(returned)
         part_path(path).unlink()
     assert len(set(reached)) > 3
+
+
+def test_particles_know_their_group(tmp_path):
+    path, groups = tmp_path / "run.h5", {"beam.tip": np.array([3, 4]), "beam.end": np.array([4])}
+    with TrajectoryWriter(path, 1, {"beam": slice(0, 5)}, 2, {}, {}, groups) as writer:
+        writer.write(0, 0.0, x=np.zeros((5, 2)))
+    with h5py.File(path) as file:
+        assert file["particles/group"][:].tolist() == [-1, -1, -1, 0, 1]
+        assert json.loads(file["particles"].attrs["groups"]) == ["beam.tip", "beam.end"]
+        assert file["VTKHDF/PointData/group"][:].tolist() == [-1, -1, -1, 0, 1]
+    assert set(read_trajectory(path).fields) == {"x"}
+
+
+def test_paraview_knows_the_format_by_a_link(tmp_path):
+    path = tmp_path / "run.h5"
+    for _ in range(2):  # a second run replaces the link
+        with TrajectoryWriter(path, 1, {"beam": slice(0, 5)}, 2, {}, {}) as writer:
+            writer.write(0, 0.0, x=np.ones((5, 2)))
+    link = tmp_path / "run.vtkhdf"
+    assert link.stat().st_size < 10_000
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    for file in (path, link):
+        file.rename(moved / file.name)
+    with h5py.File(moved / "run.vtkhdf") as file:
+        assert file["VTKHDF/Points"][:].shape == (5, 3)
+    pyvista = pytest.importorskip("pyvista")
+    assert pyvista.read(moved / "run.vtkhdf").points == pytest.approx(np.array([[1.0, 1.0, 0.0]] * 5))
