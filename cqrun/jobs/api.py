@@ -23,6 +23,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,6 +48,7 @@ from cqrun.running.runs import scene_in
 from cqrun.running.threads import checked_threads, cores
 from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
+from cqrun.scene.paths import leaf
 from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.state import State
@@ -115,6 +117,28 @@ class Experiment:
     def scene(self) -> Scene:
         """The resolved scene."""
         return self.built.scene
+
+    def __repr__(self) -> str:
+        return f"<cqrun problem: {self._in_words()}>"
+
+    def _repr_html_(self) -> str:
+        """Return the problem as a notebook shows it: what it is, and its parameters."""
+        rows = "".join(
+            f"<tr><td><code>{escape(path)}</code></td><td>{escape(_shown(value))}</td>"
+            f"<td>{escape(self._unit(path))}</td></tr>"
+            for path, value in self.params.items()
+        )
+        head = "<tr><th>parameter</th><th>start</th><th>unit</th></tr>"
+        return f"<p><b>cqrun problem</b>: {escape(self._in_words())}</p><table>{head}{rows}</table>"
+
+    def _in_words(self) -> str:
+        scene, n = self.scene, len(self.built.particles.x)
+        title = f"{scene.title}; " if scene.title else ""
+        return f"{title}{n:,} particles, {scene.time.control_steps:,} control steps, {len(self.params)} parameters"
+
+    def _unit(self, path: str) -> str:
+        unit = "" if path.startswith((CONTROLLER, "data.")) else leaf(self.scene, path).unit
+        return "" if unit == "1" else unit
 
     @property
     def found(self) -> dict[str, Any]:
@@ -282,6 +306,11 @@ class Experiment:
     @cached_property
     def _problem(self) -> FitProblem:
         return FitProblem(given_cases(self.built) or make_cases(self.built), self._params, threads=self.threads)
+
+
+def _shown(value: Any) -> str:
+    """Return a number, or the shape of an array, as text."""
+    return f"{value:.6g}" if np.ndim(value) == 0 else f"array of shape {np.shape(value)}"
 
 
 def _of_episodes(problem: EpisodeProblem, values: dict[str, Array]) -> tuple[float, dict[str, Array], dict[str, Any]]:

@@ -143,3 +143,15 @@ def test_data_that_another_yaml_reader_made_has_the_same_numbers():
     assert data["bodies"]["beam"]["material"]["elastic"]["neo_hookean"]["youngs_modulus"] == "5.0e4"
     from_data, from_text = cqrun.load(data).scene, cqrun.load(BEAM).scene
     assert from_data.model_dump() == from_text.model_dump()
+
+
+def test_a_notebook_shows_a_problem_with_its_parameters():
+    data = scene(title="<b>beam</b>", unknowns={E: {"bounds": [3.0e4, 9.0e4]}}, controller={"linear_tanh": {}},
+                 observers={"seen": {"measured": {"quantity": "tip"}}})  # fmt: skip
+    del data["activation"]
+    problem = cqrun.load(data)
+    page = problem._repr_html_()
+    assert "&lt;b&gt;beam&lt;/b&gt;; 80 particles, 10 control steps, 3 parameters" in page
+    assert f"<td><code>{E}</code></td><td>50000</td><td>Pa</td>" in page
+    assert "array of shape (1, 2)" in page
+    assert repr(problem) == "<cqrun problem: <b>beam</b>; 80 particles, 10 control steps, 3 parameters>"
