@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from cqrun.actuators.body_force import BodyForce
 from cqrun.actuators.cable import Cable
+from cqrun.actuators.muscle import Muscle
+from cqrun.actuators.pneumatic import Pneumatic
 from cqrun.forces.spring import Spring
 from cqrun.materials.fixed_corotated import FixedCorotated
 from cqrun.materials.incompressibility import Incompressibility
 from cqrun.materials.neo_hookean import NeoHookean
 from cqrun.materials.viscosity import Viscosity
-from cqrun.observers.matter import Material, Matter, Route
+from cqrun.observers.matter import ActuatorPart, Material, Matter, Route
 from cqrun.plugin.registry import plugins
 
 STEP = 1e-30
@@ -42,7 +46,8 @@ def made_matter(dim: int) -> Matter:
         {"target": dim, "pace": 1}, N_ACTUATORS, design=1.5 + np.linspace(0.0, 1.0, 4 * len(x)).reshape(4, -1),
         recorded=lambda file, units, marker: (np.linspace(0.0, 0.4, 9), seen), neutral=np.array([0.0, 1.0, 0.5]),
         measures=made_measures(dim), spacing={"arm": 0.1, "ball": 0.05}, routes=made_routes(dim),
-        n_parts=N_ACTUATORS + 1, materials=made_materials(len(arm)), room=np.linspace(0.5, 1.0, len(x)),
+        n_parts=N_ACTUATORS + 1, parts=made_parts(dim), materials=made_materials(len(arm)),
+        room=np.linspace(0.5, 1.0, len(x)),
     )  # fmt: skip
 
 
@@ -54,6 +59,29 @@ def made_materials(n_arm: int) -> dict[str, Material]:
         "arm": Material(0, 0, [term.kernel_term for term in soft]),
         "ball": Material(1, n_arm, [term.kernel_term for term in firm]),
     }
+
+
+N_WEIGHTS = 12
+"""Number of weights of the particles of the parts in `made_parts`."""
+
+
+def made_parts(dim: int) -> list[ActuatorPart]:
+    """Return parts of actuators of every kind with a potential, and cables; each of four particles."""
+    axis = [1.0, 2.0, -1.0][:dim]
+    laws = {
+        "muscle": Muscle(body="arm", axis=axis, strength=1.0), "chamber": Pneumatic(body="arm", max_pressure=1.0),
+        "old_chamber": Pneumatic(body="arm", max_pressure=1.0, law="chainqueen"),
+        "magnet": BodyForce(body="ball", direction=axis, acceleration=1.0),
+    }  # fmt: skip
+    on = np.array([0, 2, 4, 5])
+    x = np.zeros((4, dim))
+    parts = [
+        ActuatorPart(name, name, k % N_ACTUATORS, law, on, law.constants(x), slice(4 * (k % 3), 4 * (k % 3) + 4))
+        for k, (name, law) in enumerate(laws.items())
+    ]
+    more = {name: made_routes(dim)[name] for name in ("cable", "weight")}
+    routed = [ActuatorPart(n, n, r.number, r.law, r.particles, np.zeros(0), slice(0, 0)) for n, r in more.items()]
+    return [*parts, *routed, replace(parts[0], actuator="both"), replace(parts[1], actuator="both")]
 
 
 def made_routes(dim: int) -> dict[str, Route]:

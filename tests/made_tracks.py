@@ -6,11 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, made_matter, mismatch, moved, slope
+from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, N_WEIGHTS, made_matter, mismatch, moved, slope
 
 from cqrun.observers.track import Track, TrackBar
 
-FIELDS = ("x", "v", "C", "F", "activation", "design", "held", "strength", "rest_length", "terms")
+FIELDS = ("x", "v", "C", "F", "activation", "design", "held", "strength", "rest_length", "terms", "weights")
 
 
 def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
@@ -26,7 +26,8 @@ def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
         for n in (n_arm, n_ball)
     ]
     return Track(
-        *motion, activation, goals, CONTROL_STEP, 2.0 + 0.1 * design, a_reaction(dim, rng), strength, rest, terms
+        *motion, activation, goals, CONTROL_STEP, 2.0 + 0.1 * design, a_reaction(dim, rng), strength, rest, terms,
+        0.5 + rng.uniform(size=N_WEIGHTS),
     )  # fmt: skip
 
 

@@ -39,6 +39,9 @@ class Actuator(Plugin):
     kernel: ClassVar[type]
     """The class of the kernels' view: of a term of the stress, or of a force."""
 
+    per: ClassVar[Literal["volume", "mass"]] = "volume"
+    """What the potential of a particle is multiplied by, for an actuator that has one (`potential`)."""
+
     @property
     def limits(self) -> tuple[float, float]:
         """The smallest and largest activation."""
@@ -144,12 +147,32 @@ class DirectedStress(RegionActuator):
         """Return the stiffness of a pressure wave that one unit of activation and strength adds."""
         return 1.0
 
+    def potential(self, constants: Array, x: Array, F: Array) -> Array:
+        """Return the energy per volume at rest (T, n) whose derivative by F (T, n, D, D) is its stress P = F S.
+
+        It is S : F^T F / 2, for an activation and a strength of 1.
+        """
+        return np.asarray(0.5 * np.einsum("tnki,tnkj,ij->tn", F, F, full(constants)))
+
+    def potential_vjp(self, constants: Array, x: Array, F: Array, bar: Array) -> tuple[Array | None, Array | None]:
+        """Return the cotangents of x and F; None for zero."""
+        return None, bar[..., None, None] * (F @ full(constants))
+
     def direction(self, dim: int) -> Array:
         """Return n n^T of the unit axis n, or I (D, D)."""
         if self.axis == "isotropic":
             return np.eye(dim)
         n = np.array(self.axis) / np.linalg.norm(self.axis)
         return np.outer(n, n)
+
+
+def full(rows: Array) -> Array:
+    """Return the symmetric matrix (D, D) of its rows: diagonal first, then 01 (02 12)."""
+    dim = 2 if len(rows) == 3 else 3
+    i, j = np.triu_indices(dim, 1)
+    S = np.diag(rows[:dim])
+    S[i, j] = S[j, i] = rows[dim:]
+    return S
 
 
 def within_limits(wanted: Array, previous: Array, low: Array, high: Array, change: Array) -> tuple[Array, Array, Array]:

@@ -37,6 +37,15 @@ class BodyForce(RegionActuator):
 
     scale = "acceleration"
     kernel = BodyForceKernel
+    per = "mass"
+
+    def potential(self, constants: Array, x: Array, F: Array) -> Array:
+        """Return the energy per mass (T, n) whose negative derivative by x is the acceleration, for a level of 1."""
+        return -(x @ constants)
+
+    def potential_vjp(self, constants: Array, x: Array, F: Array, bar: Array) -> tuple[Array | None, Array | None]:
+        """Return the cotangents of x and F; None for zero."""
+        return -bar[..., None] * constants, None
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""

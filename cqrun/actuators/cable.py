@@ -153,6 +153,23 @@ class Cable(Actuator):
         by_activation = np.where(activation >= 0.0, -rest * taut, 0.0)
         return taut, by_activation, np.maximum(slack, 0.0) * bar, -reeled_out * taut
 
+    def stored(self, length: Array, activation: Array, strength: float, rest: float) -> Array:
+        """Return the energy [J] whose derivative by the length is the tension (T,)."""
+        if self.stiffness is None:
+            return np.asarray(activation * strength * length)
+        return np.asarray(0.5 * strength * np.maximum(length - np.maximum(activation, 0.0) * rest, 0.0) ** 2)
+
+    def stored_vjp(
+        self, length: Array, activation: Array, strength: float, rest: float, bar: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the cotangents of length, activation, strength and rest length at each moment, all (T,)."""
+        tension = self.pull(length, activation, strength, rest)
+        if self.stiffness is None:
+            return tension * bar, strength * length * bar, activation * length * bar, 0.0 * bar
+        slack = np.maximum(length - np.maximum(activation, 0.0) * rest, 0.0)
+        by_activation = np.where(activation >= 0.0, -rest * tension * bar, 0.0)
+        return tension * bar, by_activation, 0.5 * slack**2 * bar, -np.maximum(activation, 0.0) * tension * bar
+
     def stiffness_at_nodes(self, strength: float, x: Array) -> float:
         """Return the stiffness at a node between two segments [N/m]: of stretch, or against turning under tension.
 

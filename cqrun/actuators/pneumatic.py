@@ -48,6 +48,17 @@ class Pneumatic(DirectedStress):
         """The class of the kernels' view for the law."""
         return pressure.PressureKernel if self.law == "pressure" else muscle.MuscleKernel
 
+    def potential(self, constants: Array, x: Array, F: Array) -> Array:
+        """Return the energy per volume at rest (T, n), for a pressure of 1: -J, or as a muscle's."""
+        return -np.linalg.det(F) if self.law == "pressure" else super().potential(constants, x, F)
+
+    def potential_vjp(self, constants: Array, x: Array, F: Array, bar: Array) -> tuple[Array | None, Array | None]:
+        """Return the cotangents of x and F; None for zero."""
+        if self.law != "pressure":
+            return super().potential_vjp(constants, x, F, bar)
+        J = np.linalg.det(F)[..., None, None]
+        return None, -bar[..., None, None] * J * np.swapaxes(np.linalg.inv(F), -1, -2)
+
     def constants(self, x: Array) -> Array:
         """Return the pressure (1,), or S as rows (D (D + 1) / 2,), at activation and strength 1."""
         return np.ones(1) if self.law == "pressure" else -muscle.symmetric_rows(self.direction(x.shape[1]))

@@ -261,6 +261,8 @@ class Assembly:
             bar.strength += beside.strength
         if beside.rest_length is not None:
             bar.rest += beside.rest_length
+        if beside.weights is not None:
+            bar.weights += beside.weights
         for group, more in zip(bar.terms, beside.terms or (), strict=False):
             for theta_bar, part in zip(group, more, strict=True):
                 theta_bar += part

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from cqrun.build.model import Built
-from cqrun.observers.matter import Material, Matter, Route
+from cqrun.observers.matter import ActuatorPart, Material, Matter, Route
+from cqrun.observers.rows import slices
 from cqrun.plugin.contract import Array
 from cqrun.store.recordings import marker_path
 
@@ -33,6 +34,7 @@ def matter_of(built: Built, starts: Mapping[str, Array]) -> Matter:
         neutral=built.assembly.actuation.neutral,
         spacing=particles.spacing,
         n_parts=len(built.assembly.actuation.every),
+        parts=_parts(built),
         routes=_routes(built),
         materials=_materials(built),
         terms=inputs.terms,
@@ -50,6 +52,16 @@ def _materials(built: Built) -> dict[str, Material]:
         for g, group in enumerate(built.model.groups)
         for k in group.bodies
     }
+
+
+def _parts(built: Built) -> tuple[ActuatorPart, ...]:
+    """Return the parts of all actuators."""
+    parts = built.assembly.actuation.parts
+    places = slices([len(part.model.particles) for part in parts])
+    return tuple(
+        ActuatorPart(part.name, part.actuator, k, part.spec, part.model.particles, part.model.constants, at)
+        for k, (part, at) in enumerate(zip(parts, places, strict=True))
+    )
 
 
 def _routes(built: Built) -> dict[str, Route]:

@@ -48,7 +48,10 @@ def _no_distances(scene: Scene, terms: Mapping[str, Any], track: Track, objectiv
     """Yield problems of terms whose smallest value is not 0, or that do not depend on the motion only."""
     for name, term in terms.items():
         bar = objective.values_vjp(track, {name: 1.0})
-        if any(part is not None for part in (bar.activation, bar.design, bar.strength, bar.rest_length, bar.terms)):
+        if any(
+            part is not None
+            for part in (bar.activation, bar.design, bar.strength, bar.rest_length, bar.terms, bar.weights)
+        ):
             message = "sysid takes only terms of the motion; `cqrun control` and `cqrun codesign` also take this one"
             yield _problem(scene, name, message)
         elif term.sense < 0 or term.least != 0 or term.weight <= 0:

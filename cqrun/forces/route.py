@@ -31,6 +31,14 @@ class Pulling(Protocol):
     def pull(self, length: Array, activation: Array, strength: float, rest: float) -> Array:
         """Return the tension [N] at each moment (T,), for the length and the activation then (T,)."""
 
+    def stored(self, length: Array, activation: Array, strength: float, rest: float) -> Array:
+        """Return the energy [J] whose derivative by the length is the tension (T,)."""
+
+    def stored_vjp(
+        self, length: Array, activation: Array, strength: float, rest: float, bar: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the cotangents of length, activation, strength and rest length at each moment, all (T,)."""
+
     def pull_vjp(
         self, length: Array, activation: Array, strength: float, rest: float, bar: Array
     ) -> tuple[Array, Array, Array, Array]:

@@ -86,6 +86,17 @@ class Spring(ParticleForce):
         """Return the cotangents of length, activation, strength and rest length at each moment, all (T,)."""
         return strength * bar, 0.0 * bar, (length - rest) * bar, -strength * bar
 
+    def stored(self, length: Array, activation: Array, strength: float, rest: float) -> Array:
+        """Return the energy [J] whose derivative by the length is the tension (T,)."""
+        return np.asarray(0.5 * strength * (length - rest) ** 2)
+
+    def stored_vjp(
+        self, length: Array, activation: Array, strength: float, rest: float, bar: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the cotangents of length, activation, strength and rest length at each moment, all (T,)."""
+        pulled = strength * (length - rest) * bar
+        return pulled, 0.0 * bar, 0.5 * (length - rest) ** 2 * bar, -pulled
+
     def stiffness_at_nodes(self, strength: float, x: Array) -> float:
         """Return the stiffness at a node between two segments of the spring's stiffness [N/m]."""
         return 4.0 * strength

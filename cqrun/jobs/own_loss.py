@@ -214,7 +214,7 @@ class Recorded:
         return Track(
             records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at], rollout.activation, self.goals,
             self.problem.built.scene.time.control_step, self.problem.built.assembly.design(inputs), records.held,
-            inputs.strength, inputs.rest, inputs.terms,
+            inputs.strength, inputs.rest, inputs.terms, inputs.weights,
         )  # fmt: skip
 
     def _bars(self, rollout: Rollout, records: Records, bars: Mapping[str, Array], beside: TrackBar) -> LossBar:

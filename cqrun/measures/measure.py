@@ -31,6 +31,8 @@ class BoundMeasure(ABC):
         unit: SI unit of its numbers; 1 for none.
         meaning: what it is, in a few words, for files and plots.
         instant: whether it depends on the motion at one moment alone, so that an observer can see it.
+        cumulative: whether its numbers are sums over the control steps so far; those of a record of two moments are
+            zero and what the step between them adds.
         low, high: (n,) the usual range of its numbers, which observers scale to [-1, 1].
     """
 
@@ -39,6 +41,7 @@ class BoundMeasure(ABC):
     unit: str
     meaning: str
     instant: bool = True
+    cumulative: bool = False
     low: Array = np.array([-1.0])
     high: Array = np.array([1.0])
 

@@ -102,7 +102,7 @@ class Objective:
 
     def values(self, track: Track) -> dict[str, float]:
         """Return each term's value by name, in its own unit, without weight."""
-        return {name: term.value(self._part(track, name)) for name, term in self.terms.items()}
+        return {name: term.value(track.part(self._places[name])) for name, term in self.terms.items()}
 
     def loss(self, track: Track) -> float:
         """Return the sum over terms of sense * weight * value."""
@@ -130,7 +130,7 @@ class Objective:
         """Return the cotangent of the track from those of some of the terms' values."""
         total = TrackBar()
         for name, bar in bars.items():
-            term_bar = self.terms[name].value_vjp(self._part(track, name), bar)
+            term_bar = self.terms[name].value_vjp(track.part(self._places[name]), bar)
             for part in ("x", "v", "C", "F"):
                 _add(total, part, getattr(term_bar, part), getattr(track, part), (slice(None), self._places[name]))
             _add(total, "activation", term_bar.activation, track.activation, ())
@@ -139,15 +139,6 @@ class Objective:
                 total.held = total.held or {}
                 total.held[boundary] = total.held.get(boundary, 0.0) + held_bar
         return total
-
-    def _part(self, track: Track, name: str) -> Track:
-        """Return the part of the track that a term reads."""
-        at = self._places[name]
-        return Track(
-            track.x[:, at], track.v[:, at], track.C[:, at], track.F[:, at], track.activation, track.goals,
-            track.control_step, track.design, track.held, track.strength, track.rest_length,
-            track.terms,
-        )  # fmt: skip
 
 
 def _add(total: TrackBar, name: str, bar: Array | None, like: Array, place: Any) -> None:

@@ -50,6 +50,29 @@ class Route:
 
 
 @dataclass(frozen=True)
+class ActuatorPart:
+    """A part of an actuator, with an activation of its own.
+
+    Attributes:
+        name: of the part; that of the actuator if it has only one.
+        actuator: name of the actuator.
+        number: its number among all parts.
+        law: the plug-in.
+        particles: (n,) indices of its particles.
+        constants: its other numbers (`Actuator.constants`).
+        weights: where its particles are among the weights of all parts.
+    """
+
+    name: str
+    actuator: str
+    number: int
+    law: Any
+    particles: Array
+    constants: Array
+    weights: slice
+
+
+@dataclass(frozen=True)
 class Material:
     """Where the parameters of a body's material are among all (`Track.terms`), and what its terms are.
 
@@ -85,6 +108,7 @@ class Matter:
         recorded: (file name in the scene, its units or None, marker) -> times (T,) at which the marker was seen [s],
             and its positions then (T, D) [m]; UsageError if there is no such file or marker.
         n_parts: number of parts of actuators and forces.
+        parts: of all actuators, in order.
         routes: name -> cable or spring.
         materials: body -> its material.
         terms: parameters of all terms of the stress at the initial values of the unknowns, as in `Track.terms`.
@@ -110,6 +134,7 @@ class Matter:
     neutral: Array = field(default_factory=lambda: np.zeros(0))
     spacing: Mapping[str, float] = field(default_factory=dict)
     n_parts: int = 0
+    parts: Sequence[ActuatorPart] = ()
     routes: Mapping[str, Route] = field(default_factory=dict)
     materials: Mapping[str, Material] = field(default_factory=dict)
     terms: Sequence[Sequence[Array]] = ()

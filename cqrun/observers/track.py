@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ class Track:
         strength, rest_length: (A',) of every part of actuators and forces; the first A have an activation. The unit of
             a strength is the part's own; a length is in [m].
         terms: parameters (rows, N_g) of each term of the stress of each group of bodies, as in `Inputs.terms`.
+        weights: of each particle of each actuator, one part after another; empty if all are 1.
         held: force [N] and moment [N m] of the boundaries that readers need (T+1, D+1) or (T+1, 6), by name: means over
             each control step, which row 0 does not have (engine/reference/reactions.py).
     """
@@ -40,6 +41,11 @@ class Track:
     strength: Array = field(default_factory=lambda: np.zeros(0))
     rest_length: Array = field(default_factory=lambda: np.zeros(0))
     terms: Sequence[Sequence[Array]] = ()
+    weights: Array = field(default_factory=lambda: np.zeros(0))
+
+    def part(self, at: slice) -> Track:
+        """Return the record that a reader of some of the sums gets."""
+        return replace(self, x=self.x[:, at], v=self.v[:, at], C=self.C[:, at], F=self.F[:, at])
 
 
 @dataclass
@@ -56,10 +62,11 @@ class TrackBar:
     strength: Array | None = None
     rest_length: Array | None = None
     terms: list[list[Array]] | None = None
+    weights: Array | None = None
 
     def add_inputs_of(self, other: TrackBar) -> None:
         """Add the parts of another cotangent that belong to the inputs of a run: design, strengths, lengths, terms."""
-        for name in ("design", "strength", "rest_length"):
+        for name in ("design", "strength", "rest_length", "weights"):
             part, so_far = getattr(other, name), getattr(self, name)
             if part is not None:
                 setattr(self, name, part if so_far is None else so_far + part)

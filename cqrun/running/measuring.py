@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,16 +20,6 @@ from cqrun.running.tables import number, table
 from cqrun.state import State
 from cqrun.store.measured import TABLE, MeasuredNumber, MeasuredQuantities, Quantity
 from cqrun.store.result import GradcheckResult, Result
-
-
-@dataclass(frozen=True)
-class Levels:
-    """What a moment of a run depends on beside the state; see `Track`."""
-
-    design: Array
-    strength: Array
-    rest_length: Array
-    terms: Sequence[Sequence[Array]]
 
 
 class Measuring:
@@ -52,6 +43,7 @@ class Measuring:
         self.bound = bound_measures(built, values)
         self.found: MeasuredQuantities | None = None
         self.late = {name for name, chosen in built.scene.measure.items() if chosen.value.boundaries}  # type: ignore[attr-defined]
+        self._before: dict[str, Track] = {}  # the last moment of cumulative quantities
         self._rows: dict[str, list[Array]] = {name: [] for name in self.bound if name not in self.late}
 
     def look(self, state: State, inputs: Inputs, activation: Array) -> None:
@@ -62,11 +54,15 @@ class Measuring:
             inputs: of the run.
             activation: (A,) that acted up to this moment; at the start, those that act first.
         """
-        if not self._rows:
-            return
-        levels = Levels(self.built.assembly.design(inputs), inputs.strength, inputs.rest, inputs.terms)
         for name, rows in self._rows.items():
-            rows.append(_at(self.bound[name], state, levels, activation, self.built.scene.time.control_step))
+            bound = self.bound[name]
+            now = _moment(bound, state, inputs, activation, self.built)
+            try:
+                rows.append(bound.values(_joined(self._before.get(name, now), now) if bound.cumulative else now)[-1])
+            except CrushedError:  # a crushed part has no rotation
+                rows.append(np.full(len(bound.components), np.nan))
+            if bound.cumulative:
+                self._before[name] = now
 
     def end(self, held: Mapping[str, Array], *, at_rest: bool = False) -> MeasuredQuantities | None:
         """Return all that was measured; None if the scene names nothing.
@@ -78,6 +74,7 @@ class Measuring:
         if not self.bound:
             return None
         found = {name: self.bound[name].continuous(np.array(rows)) for name, rows in self._rows.items()}
+        found |= {name: np.cumsum(rows, axis=0) for name, rows in found.items() if self.bound[name].cumulative}
         moments = max([*map(len, found.values()), *(len(rows) for rows in held.values())], default=0)
         step = 1.0 if at_rest else self.built.scene.time.control_step
         for name in self.late:
@@ -92,20 +89,24 @@ class Measuring:
         return self.found
 
 
-def _at(bound: BoundMeasure, state: State, levels: Levels, activation: Array, control_step: float) -> Array:
-    """Return the numbers of a quantity at a moment (n,); NaN where a crushed part has no rotation."""
+def _moment(bound: BoundMeasure, state: State, inputs: Inputs, activation: Array, built: Built) -> Track:
+    """Return what a quantity reads of a moment, as a record with one row."""
     x, v, C, F = (
         (bound.rows @ part.reshape(len(part), -1)).reshape(1, -1, *part.shape[1:])
         for part in (state.x, state.v, state.C, state.F)
     )
-    track = Track(
-        x, v, C, F, activation[None], {}, control_step, levels.design, {}, levels.strength, levels.rest_length,
-        levels.terms,
+    return Track(
+        x, v, C, F, activation[None], {}, built.scene.time.control_step, built.assembly.design(inputs), {},
+        inputs.strength, inputs.rest, inputs.terms, inputs.weights,
     )  # fmt: skip
-    try:
-        return bound.values(track)[0]
-    except CrushedError:
-        return np.full(len(bound.components), np.nan)
+
+
+def _joined(before: Track, now: Track) -> Track:
+    """Return the record of two moments."""
+    both: dict[str, Any] = {
+        name: np.concatenate([getattr(before, name), getattr(now, name)]) for name in ("x", "v", "C", "F")
+    }
+    return replace(now, **both)
 
 
 def _of_boundaries(held: Mapping[str, Array], moments: int, dim: int, control_step: float) -> Track:

@@ -23,6 +23,10 @@ STEP = 1e-3
 """Its error is near 1e-12 for these tracks, whose lengths are 0.1 and more, and rounding adds as much."""
 
 
+WORKING = ("muscle", "chamber", "old_chamber", "magnet", "cable", "weight", "both")
+"""Actuators of `made_parts`."""
+
+
 def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
     """Return fields for each plug-in to test."""
     point, place = [0.31, 0.28, 0.23][:dim], {"body": "arm", "region": box_around_left(dim)}
@@ -44,6 +48,7 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "elastic_energy": [place, {"body": "ball"}],
         "cable_length": [{"cable": "cable"}, {"spring": "spring"}],
         "cable_tension": [{"cable": "cable"}, {"cable": "weight"}, {"spring": "spring"}],
+        "work": [{"actuator": name} for name in WORKING],
         "reaction": [{"boundary": "clamp"}, {"boundary": "floor", "of": "moment", "on": "boundary"}],
     }  # fmt: skip
 

@@ -1,0 +1,170 @@
+"""Work that an actuator does on the bodies.
+
+An activation is constant in a control step, and then the forces of every actuator have a potential: a cable stores
+energy, a muscle's stress F S is the derivative of S : F^T F / 2. So the work in a control step is exactly what the
+potential loses in it, whatever the way between its two ends. The potential changes with the activation from one step to
+the next, which does no work on the bodies.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.errors import UsageError
+from cqrun.measures.cable import RouteLength
+from cqrun.measures.measure import BoundMeasure, Measure
+from cqrun.objectives.design import MASS, VOLUME
+from cqrun.observers.matter import ActuatorPart, Matter, Route
+from cqrun.observers.rows import single, slices, stacked
+from cqrun.observers.track import Track, TrackBar
+from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import ActuatorName
+from cqrun.plugin.registry import plugin
+
+
+@plugin("measure", "work")
+class Work(Measure):
+    """Work [J; 2D: J/m] that an actuator has done on the bodies since the start, with all its parts.
+
+    It is exact for the motion at the control steps. It is negative where the bodies drive the actuator back.
+    """
+
+    needs_time = True
+
+    actuator: ActuatorName = Field(description="Actuator that works")
+
+    def bind(self, matter: Matter) -> BoundMeasure:
+        parts = [part for part in matter.parts if part.actuator == self.actuator]
+        works: list[BoundMeasure] = []
+        for part in parts:
+            if part.name in matter.routes:
+                works.append(CableWork(matter.routes[part.name], matter))
+            elif hasattr(part.law, "potential"):
+                works.append(PartWork(part, matter))
+            else:
+                raise UsageError(f"the work of '{part.law.name}' is not known: its class needs `potential`")
+        return TotalWork(works, matter)
+
+
+class TotalWork(BoundMeasure):
+    """The sum of the works of an actuator's parts."""
+
+    meaning, instant, cumulative = "work done on the bodies", False, True
+
+    def __init__(self, works: list[BoundMeasure], matter: Matter) -> None:
+        self.works = works
+        self.rows = stacked([work.rows for work in works], matter.n_particles)
+        self.places = slices([work.rows.shape[0] for work in works])
+        self.unit = "J" if matter.dim == 3 else "J/m"
+
+    def values(self, track: Track) -> Array:
+        return np.asarray(sum(w.values(track.part(at)) for w, at in zip(self.works, self.places, strict=True)))
+
+    def values_vjp(self, track: Track, bar: Array) -> TrackBar:
+        total = TrackBar(x=np.zeros(track.x.shape), F=np.zeros(track.F.shape), activation=0.0 * track.activation)
+        for work, at in zip(self.works, self.places, strict=True):
+            part: Any = work.values_vjp(track.part(at), bar)
+            for name in ("x", "F"):
+                if getattr(part, name) is not None:
+                    getattr(total, name)[:, at] = getattr(part, name)
+            total.activation = total.activation + part.activation
+            total.add_inputs_of(part)
+        return total
+
+
+class Stepwise(BoundMeasure):
+    """A sum over the control steps of what each has done: row 0 is 0."""
+
+    meaning, unit, instant, cumulative = "work", "J", False, True
+
+
+def accumulated(each: Array) -> Array:
+    """Return sums (T+1, 1) over the steps so far of what each step adds (T,)."""
+    return np.concatenate([np.zeros(1), np.cumsum(each)])[:, None]
+
+
+def accumulated_vjp(bar: Array) -> Array:
+    """Return the cotangent of what each step adds (T,)."""
+    return np.asarray(np.cumsum(bar[:0:-1, 0])[::-1])
+
+
+class CableWork(Stepwise):
+    """What the energy of a cable loses in each control step with the activation of that step."""
+
+    def __init__(self, route: Route, matter: Matter) -> None:
+        self.length, self.route = RouteLength(route, matter), route
+        self.rows = self.length.rows
+
+    def values(self, track: Track) -> Array:
+        length, levels = self.length.values(track)[:, 0], self._levels(track)
+        before, after = (self.route.law.stored(each, *levels) for each in (length[:-1], length[1:]))
+        return accumulated(before - after)
+
+    def values_vjp(self, track: Track, bar: Array) -> TrackBar:
+        k, length, levels = self.route.number, self.length.values(track)[:, 0], self._levels(track)
+        each = accumulated_vjp(bar)
+        length_bar = np.zeros(len(length))
+        out = TrackBar(strength=np.zeros(track.strength.shape), rest_length=np.zeros(track.rest_length.shape))
+        out.activation = np.zeros(track.activation.shape)
+        for rows, sign in ((slice(None, -1), 1.0), (slice(1, None), -1.0)):
+            by = self.route.law.stored_vjp(length[rows], *levels, sign * each)
+            length_bar[rows] += by[0]
+            out.activation[:, k] += by[1]
+            out.strength[k] += by[2].sum()  # type: ignore[index]
+            out.rest_length[k] += by[3].sum()  # type: ignore[index]
+        out.x = self.length.values_vjp(track, length_bar[:, None]).x
+        return out
+
+    def _levels(self, track: Track) -> tuple[Array, Any, Any]:
+        k = self.route.number
+        return track.activation[:, k], track.strength[k], track.rest_length[k]
+
+
+class PartWork(Stepwise):
+    """Level times weight times volume (or mass) times what the potential of each particle loses."""
+
+    def __init__(self, part: ActuatorPart, matter: Matter) -> None:
+        self.part = part
+        self.rows = single(part.particles, matter.n_particles)
+        self.per = MASS if part.law.per == "mass" else VOLUME
+        self.room = np.ones(len(part.particles)) if self.per == MASS else matter.room[part.particles]
+
+    def values(self, track: Track) -> Array:
+        k = self.part.number
+        return accumulated(track.activation[:, k] * track.strength[k] * self._lost(track))
+
+    def values_vjp(self, track: Track, bar: Array) -> TrackBar:
+        k, each, lost = self.part.number, accumulated_vjp(bar), self._lost(track)
+        amount, weight = track.design[self.per, self.part.particles] / self.room, self._weight(track)
+        level = track.activation[:, k] * track.strength[k]
+        phi = self._potential(track)
+        out = TrackBar(activation=np.zeros(track.activation.shape), strength=np.zeros(track.strength.shape))
+        out.activation[:, k] = each * track.strength[k] * lost  # type: ignore[index]
+        out.strength[k] = (each * track.activation[:, k] * lost).sum()  # type: ignore[index]
+        by_particle = (each * level) @ (phi[:-1] - phi[1:])
+        out.design = np.zeros(track.design.shape)
+        out.design[self.per, self.part.particles] = by_particle * weight / self.room
+        if len(track.weights):
+            out.weights = np.zeros(track.weights.shape)
+            out.weights[self.part.weights] = by_particle * amount
+        phi_bar = np.zeros(phi.shape)
+        phi_bar[:-1] += (each * level)[:, None] * weight * amount
+        phi_bar[1:] -= (each * level)[:, None] * weight * amount
+        out.x, out.F = self.part.law.potential_vjp(self.part.constants, track.x, track.F, phi_bar)
+        return out
+
+    def _potential(self, track: Track) -> Array:
+        """Return the potential of every particle (T+1, n), for a level, weight and volume of 1."""
+        return np.asarray(self.part.law.potential(self.part.constants, track.x, track.F))
+
+    def _weight(self, track: Track) -> Array:
+        return track.weights[self.part.weights] if len(track.weights) else np.ones(len(self.part.particles))
+
+    def _lost(self, track: Track) -> Array:
+        """Return what the potential of all particles loses in each control step (T,), for a level of 1."""
+        phi = self._potential(track)
+        amount = track.design[self.per, self.part.particles] / self.room
+        return np.asarray((phi[:-1] - phi[1:]) @ (self._weight(track) * amount))
