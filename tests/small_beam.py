@@ -97,12 +97,13 @@ def result_of(run: Path) -> dict[str, Any]:
 def contents(run: Path) -> dict[str, bytes | list[list[str]]]:
     """Return the files that must be the same in equal runs.
 
-    These are all files except the log, run.json, the lock and the figures, and the history without its seconds.
+    These are all files except the log, run.json, the lock, the report and the figures, and the history without its
+    seconds.
     """
     files: dict[str, bytes | list[list[str]]] = {}
     for path in sorted(run.rglob("*")):
         name = str(path.relative_to(run))
-        if path.is_dir() or name in ("run.json", "log.txt", "lock") or path.parent.name == "figures":
+        if path.is_dir() or name in ("run.json", "log.txt", "lock", "report.html") or path.parent.name == "figures":
             continue
         if name == "history.csv":
             rows = list(csv.reader(path.read_text().splitlines()))

@@ -29,7 +29,7 @@ FLOORS = (
     {"running"},
     {"fitting", "learning"},
     {"jobs"},
-    {"cli", "figures"},
+    {"cli", "figures", "report"},
 )
 APART = ({"fitting", "learning"},)
 """Rooms of one floor that do not import each other."""

@@ -24,6 +24,7 @@ from cqrun.cli.gradcheck import gradcheck
 from cqrun.cli.options import with_grids
 from cqrun.cli.plot import plot
 from cqrun.cli.render import render
+from cqrun.cli.report import report
 from cqrun.cli.rest import rest
 from cqrun.cli.resume import resume
 from cqrun.cli.schema import schema
@@ -39,7 +40,7 @@ from cqrun.version import __version__
 
 COMMANDS = (
     sysid, control, codesign, simulate, rest, sweep, gradcheck, resume, validate, describe, schema, plot, render,
-    export, compress, bench, warmup, doctor,
+    report, export, compress, bench, warmup, doctor,
 )  # fmt: skip
 
 app = typer.Typer(

@@ -37,7 +37,7 @@ def codesign(
         draw_and_print_ablation,
         draw_and_print_run,
         infeasible_shown,
-        print_seeds,
+        report_and_print_seeds,
         require_seeds_for_jobs,
     )
     from cqrun.errors import UsageError
@@ -65,8 +65,8 @@ def codesign(
             else:
                 run = run_codesign(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
         if ablate:
-            draw_and_print_ablation(comparison, succeeded, quiet)
+            draw_and_print_ablation(comparison, succeeded, quiet, allow_plugins)
         elif seeds is not None:
-            print_seeds(summary, succeeded)
+            report_and_print_seeds(summary, succeeded, quiet, allow_plugins)
         else:
             draw_and_print_run(run, quiet, allow_plugins)

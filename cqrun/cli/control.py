@@ -21,7 +21,7 @@ def control(
     Use the same command again to continue the run; if the run is finished, it says so.
     """
     from cqrun.cli.progress import working
-    from cqrun.cli.results import draw_and_print_run, infeasible_shown, print_seeds, require_seeds_for_jobs
+    from cqrun.cli.results import draw_and_print_run, infeasible_shown, report_and_print_seeds, require_seeds_for_jobs
 
     require_seeds_for_jobs(seeds, jobs)
     with infeasible_shown(quiet, allow_plugins):
@@ -39,4 +39,4 @@ def control(
         if seeds is None:
             draw_and_print_run(run, quiet, allow_plugins)
         else:
-            print_seeds(summary, succeeded)
+            report_and_print_seeds(summary, succeeded, quiet, allow_plugins)

@@ -18,12 +18,12 @@ def gradcheck(
 ) -> None:
     """Compare a scene's gradient with finite differences for several step sizes; exit with 1 unless they agree."""
     from cqrun.cli.progress import working
-    from cqrun.cli.results import print_run
+    from cqrun.cli.results import draw_and_print_run
 
     with working(quiet, allow_plugins, f"reading {scene}") as reporter:
         from cqrun.jobs.gradcheck import run_gradcheck
 
         run, agrees = run_gradcheck(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
-    print_run(run, allow_plugins)
+    draw_and_print_run(run, quiet, allow_plugins)
     if not agrees:
         raise typer.Exit(1)

@@ -1,4 +1,4 @@
-"""Finish a command: draw pictures in the run, and print results on standard output."""
+"""Finish a command: draw pictures in the run, write its report, and print results on standard output."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def print_run(run: Path, allow_plugins: bool) -> None:
 
 
 def draw_and_print_run(run: Path, quiet: bool, allow_plugins: bool) -> None:
-    """Draw a run, if its job has pictures, and print it; an error while drawing does not make the run fail.
+    """Draw a run, if its job has pictures, write its report, and print it.
+
+    An error while drawing or reporting does not make the run fail.
 
     Raises:
         UsageError, RunError: the pictures cannot be written. Stopped: a signal has stopped the drawing.
@@ -38,28 +40,31 @@ def draw_and_print_run(run: Path, quiet: bool, allow_plugins: bool) -> None:
     from cqrun.jobs.table import job_of
 
     stopped = f"stopped while pictures were drawn; the run is finished, and `cqrun plot {run}` draws them"
+    drawn: list[Path] | None = None
     try:
-        if job_of(run).pictures and _wanted():
+        if job_of(run).pictures and pictures_wanted():
             with working(quiet, allow_plugins, "drawing pictures", stopped):
                 from cqrun.figures.draw import draw_run
 
-                _draw(lambda: draw_run(run), f"`cqrun plot {run}` shows the details")
+                drawn = _draw(lambda: draw_run(run), f"`cqrun plot {run}` shows the details")
+        _report(run, drawn, quiet, allow_plugins)
     finally:
         print_run(run, allow_plugins)
 
 
-def draw_and_print_ablation(comparison: Path, succeeded: bool, quiet: bool) -> None:
+def draw_and_print_ablation(comparison: Path, succeeded: bool, quiet: bool, allow_plugins: bool) -> None:
     """Draw and print the comparison of variants; exit with 1 if a run failed. Raises as `draw_and_print_run`."""
     from cqrun.cli.progress import reporting
     from cqrun.jobs.studies.ablation import ablation_lines
 
     stopped = f"stopped while the picture was drawn; the runs are finished, and the numbers are in {comparison}"
     try:
-        if _wanted():
+        if pictures_wanted():
             with reporting(quiet, "drawing the comparison", stopped):
                 from cqrun.figures.ablation import draw_ablation
 
                 _draw(lambda: draw_ablation(comparison), f"the numbers are in {comparison}")
+        _report(comparison, None, quiet, allow_plugins)
     finally:
         for line in ablation_lines(comparison):
             echo(line)
@@ -68,7 +73,7 @@ def draw_and_print_ablation(comparison: Path, succeeded: bool, quiet: bool) -> N
 
 
 def draw_and_print_resolution(study: Path, succeeded: bool, quiet: bool, allow_plugins: bool) -> None:
-    """Draw the run on each grid, and print what the grids show; exit with 1 if one failed.
+    """Draw and report the run on each grid, and print what the grids show; exit with 1 if one failed.
 
     Raises:
         UsageError, RunError: the pictures cannot be written. Stopped: a signal has stopped the drawing.
@@ -77,13 +82,17 @@ def draw_and_print_resolution(study: Path, succeeded: bool, quiet: bool, allow_p
     from cqrun.jobs.studies.resolution import resolution_lines, runs_of
 
     stopped = f"stopped while pictures were drawn; the runs are finished, and the numbers are in {study}"
+    drawn: dict[Path, list[Path] | None] = {}
     try:
-        if _wanted():
+        if pictures_wanted():
             with working(quiet, allow_plugins, "drawing pictures", stopped):
                 from cqrun.figures.draw import draw_run
 
                 for run in runs_of(study):
-                    _draw(partial(draw_run, run), f"`cqrun plot {run}` shows the details")
+                    drawn[run] = _draw(partial(draw_run, run), f"`cqrun plot {run}` shows the details")
+        for run in runs_of(study):
+            _report(run, drawn.get(run), quiet, allow_plugins)
+        _report(study, None, quiet, allow_plugins)
     finally:
         for line in resolution_lines(study):
             echo(printable(line))
@@ -91,18 +100,19 @@ def draw_and_print_resolution(study: Path, succeeded: bool, quiet: bool, allow_p
         raise typer.Exit(1)
 
 
-def draw_and_print_sweep(study: Path, succeeded: bool, quiet: bool, show: Sequence[str]) -> None:
+def draw_and_print_sweep(study: Path, succeeded: bool, quiet: bool, allow_plugins: bool, show: Sequence[str]) -> None:
     """Draw and print a sweep; exit with 1 if a run failed. Raises as `draw_and_print_run`, and UsageError by `show`."""
     from cqrun.cli.progress import reporting
     from cqrun.jobs.studies.sweep import sweep_lines
 
     stopped = f"stopped while the picture was drawn; the runs are finished, and the numbers are in {study}"
     try:
-        if _wanted():
+        if pictures_wanted():
             with reporting(quiet, "drawing the sweep", stopped):
                 from cqrun.figures.sweep import draw_sweep
 
                 _draw(lambda: draw_sweep(study, show), f"the numbers are in {study}")
+        _report(study, None, quiet, allow_plugins)
     finally:
         for line in sweep_lines(study):
             echo(printable(line))
@@ -110,21 +120,40 @@ def draw_and_print_sweep(study: Path, succeeded: bool, quiet: bool, show: Sequen
         raise typer.Exit(1)
 
 
-def _wanted() -> bool:
+def pictures_wanted() -> bool:
     """Return whether pictures are not switched off."""
     return os.environ.get(PICTURES) != "0"
 
 
-def _draw(draw: Callable[[], object], advice: str) -> None:
-    """Draw; a bug in drawing is only a warning, so that the results are printed."""
+def _draw(draw: Callable[[], list[Path]], advice: str) -> list[Path] | None:
+    """Draw, and return the pictures; a bug in drawing is only a warning, so that the results are printed."""
     from cqrun.errors import CqrunError
 
     try:
-        draw()
+        return draw()
     except CqrunError:
         raise
     except Exception as error:
         echo(f"warning: no pictures: {type(error).__name__}: {error}; {advice}", err=True)
+        return []
+
+
+def _report(path: Path, drawn: list[Path] | None, quiet: bool, allow_plugins: bool) -> None:
+    """Write the report of a run or a study; whatever goes wrong is only a warning, so that the results are printed.
+
+    Raises:
+        Stopped: a signal has stopped it.
+    """
+    from cqrun.cli.progress import working
+
+    stopped = f"stopped while the report was written; the results are there, and `cqrun report {path}` writes it"
+    with working(quiet, allow_plugins, "writing the report", stopped):
+        try:
+            from cqrun.report.write import write
+
+            write([path], None, path.parent, pictures=pictures_wanted(), drawn=drawn)
+        except Exception as error:
+            echo(f"warning: no report: {printable(str(error))}; `cqrun report {path}` tries again", err=True)
 
 
 @contextmanager
@@ -147,10 +176,11 @@ def require_seeds_for_jobs(seeds: int | None, jobs: int | None) -> None:
         raise UsageError(f"--jobs {jobs}: is the number of seeds that run at once: add --seeds N")
 
 
-def print_seeds(summary: Path, succeeded: bool) -> None:
-    """Print the results of several seeds; exit with 1 if one failed."""
+def report_and_print_seeds(summary: Path, succeeded: bool, quiet: bool, allow_plugins: bool) -> None:
+    """Report and print the results of several seeds; exit with 1 if one failed."""
     from cqrun.jobs.studies.seeds import summary_lines
 
+    _report(summary, None, quiet, allow_plugins)
     for line in summary_lines(summary):
         echo(line)
     if not succeeded:

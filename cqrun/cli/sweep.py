@@ -80,4 +80,4 @@ def sweep(
             scene, overrides or [], out, options, fresh=fresh, threads=threads, allow_plugins=allow_plugins,
             reporter=reporter,
         )  # fmt: skip
-    draw_and_print_sweep(table, succeeded, quiet, show or [])
+    draw_and_print_sweep(table, succeeded, quiet, allow_plugins, show or [])

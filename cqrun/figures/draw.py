@@ -35,7 +35,7 @@ MOST_NAMES = 5
 INCOMPLETE = "although the run has finished: the directory is incomplete, run its scene again with --fresh"
 
 
-def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
+def draw_run(path: Path, kinds: Sequence[str] = ("png",), folder: Path | None = None) -> list[Path]:
     """Draw everything that a run has so far; return the paths of the pictures.
 
     convergence   loss and unknowns against the iteration
@@ -51,6 +51,7 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
     Args:
         path: the run directory.
         kinds: png, pdf.
+        folder: where the pictures go; the folder figures/ of the run if not given.
 
     Raises:
         UsageError: the path is not a run, a file is missing or damaged, or there is nothing to draw yet.
@@ -58,7 +59,7 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
     """
     run = read_run(path)
     require_files(run)
-    figures = make_below(path, FIGURES)
+    figures = make_below(path, FIGURES) if folder is None else folder
     written: list[Path] = []
     with styled():
         for name, figure in _figures(run):

@@ -40,6 +40,7 @@ from cqrun.running.threads import cores
 from cqrun.scene.load import load_scene
 from cqrun.state import Layout, ParticleFields, State
 from cqrun.store.atomic import disk_errors, make_directory, write_json
+from cqrun.store.provenance import machine as run_on
 from cqrun.store.provenance import versions
 
 SIZES = ((2, 80), (3, 20), (3, 40), (3, 80), (2, 320))
@@ -135,22 +136,8 @@ def memory_speed(threads: int) -> float:
 
 def machine() -> dict[str, Any]:
     """Return facts about the machine that the times depend on."""
-    model = platform.processor()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        names = [
-            line.partition(":")[2].strip()
-            for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines()
-            if "model name" in line
-        ]
-        model = names[0] if names else model
     load = os.getloadavg() if hasattr(os, "getloadavg") else ()
-    return {
-        "processor": model,
-        "cores": os.cpu_count(),
-        "load": [round(a, 2) for a in load],
-        "system": platform.system(),
-    }
+    return run_on() | {"load": [round(a, 2) for a in load], "system": platform.system()}
 
 
 def run_bench(output: Path | None, *, threads: int | None = None, quick: bool = False) -> dict[str, Any]:

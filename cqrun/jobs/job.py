@@ -27,6 +27,7 @@ from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
 from cqrun.scene.sections import JobName
 from cqrun.store.atomic import write_bytes
+from cqrun.store.folder import REPORT
 from cqrun.store.result import Result, read_result
 from cqrun.store.run import STOPPED, RunDirectory, read_record
 from cqrun.store.run_scene import stem_of
@@ -224,7 +225,7 @@ class Job(ABC, Generic[P, R]):
         if not isinstance(result, self.result):
             raise UsageError(f"{run}: is a run of {self.name}, but its result is one of {result.job}")
         tables = [file for file in sorted(run.glob("*.csv")) if file.name not in NOT_NAMED]
-        files = [*sorted((run / "figures").glob("*.png")), *tables, *run.glob("trajectory.h5")]
+        files = [*run.glob(REPORT), *sorted((run / "figures").glob("*.png")), *tables, *run.glob("trajectory.h5")]
         names = ", ".join(str(file.relative_to(run)) for file in files)
         return [*self.lines(run, result), *(["", f"see {names}"] if files else [])]
 

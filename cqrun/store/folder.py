@@ -18,14 +18,14 @@ from cqrun.explain import listed
 from cqrun.scene.origin import PLUGINS
 from cqrun.store.atomic import disk_errors, make_directory
 
-RECORD, LOCK = "run.json", "lock"
+RECORD, LOCK, REPORT = "run.json", "lock", "report.html"
 FIGURES, DESIGN, SYNTHETIC, POINTS = "figures", "design", "synthetic", "points"
 TEMPORARY = ".*.[0-9]*.tmp"
 
 OWN_FILES = (
     RECORD, LOCK, "scene.yaml", "scene.original.yaml", "log.txt", "history.csv", "evals.log", "evals.[01].npz",
     "result.json", "gradcheck.json", "identified.json", "controller.npz", "activation.csv", "observables.csv",
-    "reactions.csv", "rest.csv", "tracks.csv", "trajectory.h5", "trajectory.h5.part", "trajectory.h5.new",
+    REPORT, "reactions.csv", "rest.csv", "tracks.csv", "trajectory.h5", "trajectory.h5.part", "trajectory.h5.new",
     "trajectory.h5.packing",
 )  # fmt: skip
 """Patterns of the files of a run; tables of other measurements have names of their own (`RunScene.tables`)."""
@@ -34,7 +34,7 @@ OWN_FOLDERS = {
     FIGURES: tuple(
         f"{picture}.{kind}"
         for picture in (
-            "convergence", "tracks_*", "bodies", "path", "design", "shape", "overview", "compare_*",
+            "convergence", "tracks_*", "bodies", "path", "reactions", "design", "shape", "overview", "compare_*",
             "motion_*", "last_*", "still_*", "onion_*",
         )
         for kind in ("png", "pdf", "gif", "mp4")

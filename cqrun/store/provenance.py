@@ -1,9 +1,11 @@
-"""The provenance of a result: versions of the software and the git commit."""
+"""The provenance of a result: versions of the software, the git commit, the machine and the time."""
 
 from __future__ import annotations
 
+import os
 import platform
 import subprocess
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,26 @@ from cqrun.version import __version__
 def versions() -> dict[str, str]:
     """Return the versions of cqrun, Python and the libraries that compute."""
     return {"cqrun": __version__, "python": platform.python_version(), **library_versions()}
+
+
+def now() -> str:
+    """Return the time in UTC, such as `2026-05-04T12:30:00+00:00`."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def machine() -> dict[str, Any]:
+    """Return facts about this machine: its processor, its number of cores, and its operating system."""
+    return {"processor": _processor(), "cores": os.cpu_count(), "system": platform.platform()}
+
+
+def _processor() -> str:
+    """Return the name of the processor; empty if the system does not say it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:  # not Linux
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
 
 
 def git_state(package: Path = Path(__file__).parents[1]) -> dict[str, Any] | None:

@@ -4,7 +4,7 @@ results/<scene's stem>/<12 hex>/
   scene.yaml            resolved, complete       evals.*        what a resumed optimizer needs
   scene.original.yaml   as typed                 history.csv    one row per iteration
   run.json              status, provenance       result.json    the result
-  log.txt               events by phase          figures/       lock
+  log.txt               events by phase          figures/       report.html    lock
   plugins/              copies of plug-in files  trajectory.h5  the motion
   synthetic/            data that the run made
 Jobs add controller.npz, activation.csv, observables.csv (learned.py, simulate.py), tracks.csv (predictions.py) and
@@ -32,7 +32,7 @@ from cqrun.store.atomic import disk_errors, write_bytes, write_json, write_text
 from cqrun.store.folder import RECORD, clear, make_below, remove_temporary_files, require_own
 from cqrun.store.history import History
 from cqrun.store.lock import DirectoryLock
-from cqrun.store.provenance import git_state, versions
+from cqrun.store.provenance import git_state, machine, now, versions
 from cqrun.store.replay import ReplayLog
 from cqrun.store.run_scene import RunScene, digest_of, hash_of
 from cqrun.store.snapshots import Snapshots
@@ -46,7 +46,7 @@ SCENE = "scene.yaml"
 
 KINDS: dict[str, type | tuple[type, ...]] = {
     "seconds": (int, float), "job": str, "base": str, "files": dict, "plugins": dict, "versions": dict,
-    "extended": list, "scenes": list, "reason": (str, type(None)),
+    "extended": list, "scenes": list, "reason": (str, type(None)), "argv": list, "machine": dict, "began": str,
 }  # fmt: skip
 """What an entry of run.json must be, if it is there."""
 
@@ -249,7 +249,7 @@ class RunDirectory:
                 "plugins": {name: hashlib.sha256(content).hexdigest() for name, content in copies.items()},
                 "engine": engine_hash(),
             }
-            | {"versions": versions(), "git": git_state(), "seconds": 0.0}
+            | {"versions": versions(), "git": git_state(), "machine": machine(), "began": now(), "seconds": 0.0}
         )  # last: if run.json exists, the rest is complete
 
     def _load(self) -> None:

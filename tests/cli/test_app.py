@@ -28,6 +28,7 @@ NAMES = [
     "schema",
     "plot",
     "render",
+    "report",
     "export",
     "compress",
     "bench",

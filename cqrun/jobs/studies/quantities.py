@@ -76,7 +76,10 @@ def _identified(run: Path, built: Built) -> Iterator[tuple[str, Quantity]]:
         unit, (values, intervals, _) = leaf(scene, path).unit, unknown.numbers()
         unit = "" if unit == "1" else unit
         for name, value, interval in zip(unknown.names(path), values, intervals, strict=True):
-            yield name, Quantity(value, unit, log=spec.scale == "log", interval=interval, bound=_bound(spec, value))
+            yield (
+                name,
+                Quantity(value, unit, log=spec.scale == "log", interval=interval, bound=bound_reached(spec, value)),
+            )
     for name, error in (result.recordings or {}).items():
         assert scene.data is not None
         measured = scene.data.measurement(name)
@@ -87,7 +90,7 @@ def _identified(run: Path, built: Built) -> Iterator[tuple[str, Quantity]]:
         yield "loss", Quantity(result.loss, scene.loss_unit)
 
 
-def _bound(spec: Unknown, value: float) -> float | None:
+def bound_reached(spec: Unknown, value: float) -> float | None:
     """Return the bound at which the value of an unknown lies; None if it lies inside."""
     scaled = [float(np.log(v)) if spec.scale == "log" else v for v in (value, *spec.bounds)]
     for end, bound in zip(scaled[1:], spec.bounds, strict=True):

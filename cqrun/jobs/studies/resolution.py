@@ -243,8 +243,8 @@ def resolution_lines(path: Path) -> list[str]:
     for grid in study.grids:
         lines += [f"cells of {number(grid.dx)} m: {name} has {resolved(part)}" for name, part in grid.thinnest.items()]
     head = ("quantity", "unit", *(f"dx {cell} m" for cell in cells), "extrapolated", "error", "order")
-    rows = [(name, *_cells(quantity)) for name, quantity in study.quantities.items()]
-    lines += ["", *table(head, rows), "", *_how(study)] if rows else []
+    rows = [(name, *cells_of(quantity)) for name, quantity in study.quantities.items()]
+    lines += ["", *table(head, rows), "", *how_extrapolated(study)] if rows else []
     lines += [f"note: {name}: {q.note}" for name, q in study.quantities.items() if q.note]
     lines += [f"note: {sentence}" for sentence in study.notes]
     lines += [f"cells of {number(g.dx)} m: {g.status}: {g.reason}" for g in study.grids if g.status == "failed"]
@@ -252,7 +252,7 @@ def resolution_lines(path: Path) -> list[str]:
     return [*lines, f"resolution: {path}"]
 
 
-def _cells(quantity: OnGrids) -> Iterator[str]:
+def cells_of(quantity: OnGrids) -> Iterator[str]:
     """Yield a quantity as cells of a table: unit, values, extrapolated value, error with two digits, order."""
     yield quantity.unit
     yield from ("-" if value is None else number(value) for value in (*quantity.values, quantity.value))
@@ -261,7 +261,7 @@ def _cells(quantity: OnGrids) -> Iterator[str]:
     yield f"{quantity.order:.2f}" if quantity.how == "observed" else words[quantity.how]
 
 
-def _how(study: Resolution) -> Iterator[str]:
+def how_extrapolated(study: Resolution) -> Iterator[str]:
     """Yield how values were extrapolated, and what their error means."""
     how = {quantity.how for quantity in study.quantities.values()}
     ratio = study.grids[-2].dx / study.grids[-1].dx
