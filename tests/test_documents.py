@@ -88,3 +88,16 @@ def test_the_changelog_has_this_version():
     from cqrun import __version__
 
     assert f"\n## {__version__}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_the_citation_has_this_version_and_the_papers_of_the_report():
+    import yaml
+
+    from cqrun import __version__
+    from cqrun.report.cite import PAPERS
+
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == __version__
+    for paper in citation["references"]:
+        assert f"{{{paper['doi']}}}" in PAPERS
+        assert all(author["family-names"] in PAPERS for author in paper["authors"])

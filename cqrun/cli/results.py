@@ -66,8 +66,7 @@ def draw_and_print_ablation(comparison: Path, succeeded: bool, quiet: bool, allo
                 _draw(lambda: draw_ablation(comparison), f"the numbers are in {comparison}")
         _report(comparison, None, quiet, allow_plugins)
     finally:
-        for line in ablation_lines(comparison):
-            echo(line)
+        _print_study(ablation_lines(comparison), comparison)
     if not succeeded:
         raise typer.Exit(1)
 
@@ -94,8 +93,7 @@ def draw_and_print_resolution(study: Path, succeeded: bool, quiet: bool, allow_p
             _report(run, drawn.get(run), quiet, allow_plugins)
         _report(study, None, quiet, allow_plugins)
     finally:
-        for line in resolution_lines(study):
-            echo(printable(line))
+        _print_study(resolution_lines(study), study)
     if not succeeded:
         raise typer.Exit(1)
 
@@ -114,8 +112,7 @@ def draw_and_print_sweep(study: Path, succeeded: bool, quiet: bool, allow_plugin
                 _draw(lambda: draw_sweep(study, show), f"the numbers are in {study}")
         _report(study, None, quiet, allow_plugins)
     finally:
-        for line in sweep_lines(study):
-            echo(printable(line))
+        _print_study(sweep_lines(study), study)
     if not succeeded:
         raise typer.Exit(1)
 
@@ -156,6 +153,13 @@ def _report(path: Path, drawn: list[Path] | None, quiet: bool, allow_plugins: bo
             echo(f"warning: no report: {printable(str(error))}; `cqrun report {path}` tries again", err=True)
 
 
+def _print_study(lines: list[str], study: Path) -> None:
+    """Print the lines of a study, and before the last one its report, if it has one."""
+    report = study.with_suffix(".html")
+    for line in [*lines[:-1], *([f"report: {report}"] if report.is_file() else []), *lines[-1:]]:
+        echo(printable(line))
+
+
 @contextmanager
 def infeasible_shown(quiet: bool, allow_plugins: bool) -> Iterator[None]:
     """Also draw and print a run that ended infeasible, before its error is shown."""
@@ -181,7 +185,6 @@ def report_and_print_seeds(summary: Path, succeeded: bool, quiet: bool, allow_pl
     from cqrun.jobs.studies.seeds import summary_lines
 
     _report(summary, None, quiet, allow_plugins)
-    for line in summary_lines(summary):
-        echo(line)
+    _print_study(summary_lines(summary), summary)
     if not succeeded:
         raise typer.Exit(1)

@@ -10,6 +10,7 @@ from cqrun.report.blocks import Block, Facts
 from cqrun.report.subject import Subject
 from cqrun.report.words import clipped, count, short, some, unit_text
 from cqrun.scene.body import Body
+from cqrun.scene.load_path import PathValues, Ramp
 from cqrun.scene.schema import Scene
 
 JOBS = {
@@ -48,7 +49,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     if subject.run.job == "rest":
         yield "Path", some(f"{key}: {_path(values)}" for key, values in scene.path.items())
     else:
-        substeps = "" if scene.time.substeps == "auto" else f" of {scene.time.substeps} substeps"
+        substeps = "" if scene.time.substeps == "auto" else f", {count(scene.time.substeps, 'substep')} each"
         steps = f"control steps of {short(scene.time.control_step)} s{substeps}"
         yield "Time", f"{short(scene.time.duration)} s in {scene.time.control_steps:,} {steps}"
     yield "Unknowns", some(_unknown(subject, path) for path in scene.unknowns)
@@ -82,10 +83,10 @@ def _plugins(chosen: Mapping[str, Chosen[Any]]) -> str:
     return some(name if name == of.name else f"{name} ({of.name})" for name, of in chosen.items())
 
 
-def _path(values: Any) -> str:
-    numbers = values if isinstance(values, list) else [values]
-    plain = [short(v) if isinstance(v, float | int) else str(v) for v in numbers]
-    return plain[0] if len(plain) == 1 else f"{plain[0]} to {plain[-1]} ({len(plain)} values)"
+def _path(values: PathValues) -> str:
+    numbers = values.values if isinstance(values, Ramp) else values
+    first, last = short(numbers[0]), short(numbers[-1])
+    return first if len(numbers) == 1 else f"{first} to {last} ({len(numbers)} values)"
 
 
 def _unknown(subject: Subject, path: str) -> str:

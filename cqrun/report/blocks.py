@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 MOST_ROWS = 200
 """Rows that a table on a page has at most; the files of the run have all."""
@@ -177,6 +177,10 @@ class Section:
     blocks: Sequence[Block]
 
 
+Mood = Literal["good", "mixed", "bad"]
+"""Whether what a page reports is a success."""
+
+
 @dataclass(frozen=True)
 class Page:
     """A page.
@@ -184,14 +188,15 @@ class Page:
     Attributes:
         title: its heading.
         lead: a line below the heading.
-        badge: a word on how it ended, and `good` whether that is a success.
+        badge: a word on how it ended.
+        mood: whether that is `good`, `mixed` or `bad`.
         sections: its parts.
     """
 
     title: str
     lead: str
     badge: str
-    good: bool
+    mood: Mood
     sections: Sequence[Section] = field(default_factory=tuple)
 
 

@@ -14,6 +14,7 @@ PAPERS = """@inproceedings{hu2019chainqueen,
                Freeman, William T. and Wu, Jiajun and Rus, Daniela and Matusik, Wojciech},
   booktitle = {International Conference on Robotics and Automation (ICRA)},
   year      = {2019},
+  eprint    = {1810.01054},
   doi       = {10.1109/ICRA.2019.8794333}
 }
 

@@ -11,9 +11,14 @@ from cqrun.report.blocks import Block, Number, Numbers, Table, Text
 from cqrun.report.identified import identified
 from cqrun.report.learned import learned
 from cqrun.report.subject import Subject
+from cqrun.report.tables import cell, table_of
 from cqrun.report.words import count, short, unit_text, with_unit
+from cqrun.scene.keypath import shortest
 from cqrun.store.result import GradcheckResult, LearnedResult, RestResult, SimulateResult, SysidResult
 from cqrun.units import force_units
+
+MOST_COLUMNS = 12
+"""Displacements and reactions of a path of equilibria that are shown, at most."""
 
 
 def found(subject: Subject) -> Iterator[Block]:
@@ -65,20 +70,43 @@ def _simulated(subject: Subject, result: SimulateResult) -> Iterator[Block]:
 
 
 def _rested(subject: Subject, result: RestResult) -> Iterator[Block]:
-    """Yield the points of a path of equilibria."""
+    """Yield the points of a path of equilibria, with displacements and reactions."""
     ended = sum(p.converged for p in result.points)
     worst = max((p.residual for p in result.points if p.converged), default=None)
     numbers = [Number("Equilibria found", f"{ended} of {len(result.points)}")]
     if worst is not None:
         numbers.append(Number("Largest residual", f"{worst:.1e}", "net force divided by the loads"))
     yield Numbers(numbers)
-    keys = list(result.points[0].values) if result.points else []
-    head = ("point", *keys, "found", "residual", "Newton steps", "smallest eigenvalue")
+    keys, seen = list(result.points[0].values) if result.points else [], _measured_at_rest(subject)
+    head = ("point", *(shortest(keys) if keys else []), *seen, "found", "residual")
     yield Table(head, [
-        (str(k), *(short(p.values[key]) if key in p.values else "-" for key in keys), "yes" if p.converged else "no",
-         f"{p.residual:.1e}", str(p.steps), "-" if p.smallest is None else f"{p.smallest:.2e}")
+        (str(k), *(short(p.values[key]) if key in p.values else "-" for key in keys),
+         *(column[k - 1] if k <= len(column) else "-" for column in seen.values()),
+         "yes" if p.converged else "no", f"{p.residual:.1e}")
         for k, p in enumerate(result.points, start=1)
     ], rest="in rest.csv")  # fmt: skip
+
+
+def _measured_at_rest(subject: Subject) -> dict[str, list[str]]:
+    """Return displacements of groups and reactions of boundaries along a path, as columns with units.
+
+    Raises:
+        UsageError: rest.csv is damaged.
+    """
+    path = subject.run.path / "rest.csv"
+    if not path.is_file():
+        return {}
+    rows = table_of(path)
+    force, moment = force_units(subject.run.scene.dim)
+    groups = {f"{name}.{group}" for name, body in subject.run.scene.bodies.items() for group in body.groups}
+    found: dict[str, list[str]] = {}
+    for k, name in enumerate(rows[0]):
+        what, _, last = name.rpartition(".")
+        unit = "m" if what in groups and last[:1] == "d" else force if last[:6] == "force_" else ""
+        unit = moment if last[:6] == "moment" and what in subject.run.scene.boundaries else unit
+        if unit and len(found) < MOST_COLUMNS:
+            found[f"{name} [{unit_text(unit)}]"] = [cell(row[k]) for row in rows[1:]]
+    return found
 
 
 def _checked(subject: Subject, result: GradcheckResult) -> Iterator[Block]:

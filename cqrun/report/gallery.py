@@ -70,7 +70,7 @@ def motion(subject: Subject) -> Iterator[Block]:
     if film is None:
         return
     if film.path is None:
-        yield Text(f"There is no film. {film.why}")
+        yield Text(f"There is no film: {film.why}")
         return
     names = some(subject.run.scene.bodies, 4)
     if subject.run.job == "rest":

@@ -35,7 +35,8 @@ def notices(subject: Subject) -> Iterator[Block]:
 def _of_status(subject: Subject) -> Iterator[str]:
     status, reason = str(subject.run.record["status"]), subject.run.record.get("reason")
     if status in ENDS:
-        yield ENDS[status] + (f" {str(reason)[:1].upper()}{str(reason)[1:]}" if reason else "")
+        told = f" {str(reason)[:1].upper()}{str(reason)[1:]}" if reason and status != "iteration_limit" else ""
+        yield ENDS[status] + told
 
 
 def _of_result(subject: Subject) -> Iterator[str]:

@@ -11,7 +11,7 @@ from cqrun.figures.draw import draw_run
 from cqrun.figures.run_data import RunData, read_run
 from cqrun.jobs.table import job_of
 from cqrun.report.asked import task
-from cqrun.report.blocks import Page
+from cqrun.report.blocks import Mood, Page
 from cqrun.report.film import make_film
 from cqrun.report.html import write_page
 from cqrun.report.sections import sections_of
@@ -77,4 +77,10 @@ def page_of(subject: Subject) -> Page:
     """
     run = subject.run
     title, words = clipped(run.scene.title or run.name), task(subject)
-    return Page(title, f"{words[:1].upper()}{words[1:]}", run.status, run.succeeded, sections_of(subject))
+    return Page(title, f"{words[:1].upper()}{words[1:]}", run.status, mood_of(run), sections_of(subject))
+
+
+def mood_of(run: RunData) -> Mood:
+    """Return whether a run is a success: it ended as it should."""
+    status = str(run.record["status"])
+    return "good" if status in ("done", "converged") else "bad" if status in ("failed", "infeasible") else "mixed"

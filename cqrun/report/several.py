@@ -52,11 +52,22 @@ def write_several(paths: Sequence[Path], out: Path, *, pictures: bool = True) ->
     names = list(dict.fromkeys(run.name for run in runs))
     with tempfile.TemporaryDirectory(prefix="cqrun-") as folder:
         sections = [Section("compared", "Side by side", list(_compared(runs)))]
-        sections += run_sections(runs, Path(folder), out.parent, pictures=pictures)
+        if links := [_link(run, out.parent) for run in runs if (run.path / REPORT).is_file()]:
+            sections.append(Section("reports", "Report of each run", [Table(("run",), [(link,) for link in links])]))
+        sections += run_sections(runs, Path(folder), pictures=pictures)
         ended = sum(run.succeeded for run in runs)
         badge = "all ended" if ended == len(runs) else f"{ended} of {len(runs)} ended"
         title = f"{count(len(runs), 'run')} of {some(names, 3)}"
-        write_page(Page(title, some({task_of(run): None for run in runs}, 3), badge, ended == len(runs), sections), out)
+        write_page(
+            Page(
+                title,
+                some({task_of(run): None for run in runs}, 3),
+                badge,
+                "good" if ended == len(runs) else "mixed",
+                sections,
+            ),
+            out,
+        )
     return out
 
 
@@ -65,12 +76,11 @@ def task_of(run: RunData) -> str:
     return task(Subject(run))
 
 
-def run_sections(runs: Sequence[RunData], folder: Path, beside: Path, *, pictures: bool) -> list[Section]:
+def run_sections(runs: Sequence[RunData], folder: Path, *, pictures: bool) -> list[Section]:
     """Return a section of the whole reports of runs, folded, and one on how to cite.
 
     Args:
         folder: where pictures and films are drawn.
-        beside: the folder of the page.
         pictures: whether they are wanted.
     """
     blocks: list[Block] = []
@@ -84,8 +94,6 @@ def run_sections(runs: Sequence[RunData], folder: Path, beside: Path, *, picture
             f"The page has the whole reports of the first {MOST_RUNS} runs, to stay small. `cqrun report RUN` writes "
             f"that of any other."
         ))  # fmt: skip
-    if links := [_link(run, beside) for run in runs if (run.path / REPORT).is_file()]:
-        blocks.append(Table(("report of each run",), [(link,) for link in links]))
     first = Subject(runs[0])
     cite = Section("cite", "How to cite", list(citation(first.fact("versions", "cqrun"), first.fact("engine"))))
     return [Section("runs", "Each run", blocks), cite]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -10,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from cqrun.disk import open_file
 from cqrun.errors import CqrunError, UsageError
 from cqrun.explain import listed
 from cqrun.figures.ablation import draw_ablation
@@ -24,10 +22,15 @@ from cqrun.report.blocks import Block, Cell, Code, Folded, Link, Notes, Page, Pi
 from cqrun.report.grid import study_blocks
 from cqrun.report.html import write_page
 from cqrun.report.several import run_sections
-from cqrun.report.words import clipped, count, short, some
+from cqrun.report.tables import cell, table_of
+from cqrun.report.words import clipped, count, some
+from cqrun.scene.keypath import shortest
 from cqrun.store.folder import RECORD, REPORT
 from cqrun.store.model_file import path_of
 from cqrun.store.study import Resolution, read_ablation, read_resolution, read_seeds, read_sweep
+
+RUN = "run"
+"""Column of a table with the folders of the runs."""
 
 MOST_NAMES = 5
 """Studies that a message names, at most."""
@@ -100,11 +103,14 @@ def write_study_page(path: Path, out: Path | None = None, *, pictures: bool = Tr
         if problems:
             sections.append(Section("warnings", "Warnings", [Notes(problems)]))
         if runs:
-            sections += run_sections(runs, Path(folder), out.parent, pictures=pictures)
+            sections += run_sections(runs, Path(folder), pictures=pictures)
         ended, total = sum(run.succeeded for run in runs), len(folders)
         lead = f"{kind.name} of {count(total, 'run')}" + (f" of {runs[0].job}" if runs else "")
         badge = "all ended" if ended == total else f"{ended} of {total} ended"
-        write_page(Page(f"{kind.name}: {clipped(study.scene)}", lead, badge, ended == total, sections), out)
+        write_page(
+            Page(f"{kind.name}: {clipped(study.scene)}", lead, badge, "good" if ended == total else "mixed", sections),
+            out,
+        )
     return out
 
 
@@ -130,37 +136,29 @@ def _found(kind: Kind, study: Any, path: Path, beside: Path, pictures: bool) -> 
     if isinstance(study, Resolution):
         yield from study_blocks(study)
     else:
-        yield _table(path.with_suffix(".csv"), path.parent, beside)
+        yield _table(path.with_suffix(".csv"), list(getattr(study, "axes", [])), path.parent, beside)
     if pictures and kind.draw is not None:
         drawn = path.with_suffix(".png")  # perhaps of the numbers that a user wanted to see
         for picture in [drawn] if drawn.is_file() else kind.draw(path):
-            axes = some(getattr(study, "axes", []), 4)
+            axes = some(shortest(study.axes), 4) if getattr(study, "axes", []) else ""
             what = f"What the runs of the sweep found, against {axes}." if axes else "The variants side by side."
             yield Picture(picture, what, what)
     yield Folded("The report at the terminal", [Code("\n".join(kind.lines(path)))])
 
 
-def _table(path: Path, folder: Path, beside: Path) -> Table:
+def _table(path: Path, axes: list[str], folder: Path, beside: Path) -> Table:
     """Return the table of a study; runs with a report of their own are links."""
-    try:
-        with open_file(path, "r", newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
-    except (OSError, ValueError, csv.Error) as error:
-        raise UsageError(f"{path}: unreadable ({error}); give the command of the study again") from error
-    head = rows[0] if rows else [""]
-    body = [[_cell(name, text, folder, beside) for name, text in zip(head, row, strict=False)] for row in rows[1:]]
-    if any(len(row) != len(head) for row in body):
-        raise UsageError(f"{path}: is damaged; give the command of the study again")
-    return Table(head, body, rest=f"in {path.name}")
+    names, *rows = table_of(path)
+    order = sorted(range(len(names)), key=lambda k: names[k] != RUN)
+    body = [[_linked(names[k], row[k], folder, beside) for k in order] for row in rows]
+    short_names = dict(zip(axes, shortest(axes), strict=True)) if axes else {}
+    return Table([short_names.get(names[k], names[k]) for k in order], body, rest=f"in {path.name}")
 
 
-def _cell(column: str, text: str, folder: Path, beside: Path) -> Cell:
-    """Return a cell: a number with four digits, a text, or a link to the report of a run."""
-    if column == "run" and text:
-        name = path_of(text).name
-        linked = (folder / name / REPORT).is_file()
-        return Link(name, quote(os.path.relpath(folder / name / REPORT, beside))) if linked else name
-    try:
-        return text if text.lstrip("-").isdigit() else short(float(text))
-    except ValueError:
-        return clipped(text)
+def _linked(column: str, text: str, folder: Path, beside: Path) -> Cell:
+    """Return a cell: in the column `run` a link to the report of the run, if it has one."""
+    if column != RUN or not text:
+        return cell(text)
+    name = path_of(text).name
+    linked = (folder / name / REPORT).is_file()
+    return Link(name, quote(os.path.relpath(folder / name / REPORT, beside))) if linked else name
