@@ -47,12 +47,12 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "Forces", _plugins(scene.forces)
     yield "Actuators", _plugins(scene.actuators)
     if subject.run.job == "rest":
-        yield "Path", some(f"{key}: {_path(values)}" for key, values in scene.path.items())
+        yield "Path", some((f"{key}: {_path(values)}" for key, values in scene.path.items()), between="; ")
     else:
         substeps = "" if scene.time.substeps == "auto" else f", {count(scene.time.substeps, 'substep')} each"
         steps = f"control steps of {short(scene.time.control_step)} s{substeps}"
         yield "Time", f"{short(scene.time.duration)} s in {scene.time.control_steps:,} {steps}"
-    yield "Unknowns", some(_unknown(subject, path) for path in scene.unknowns)
+    yield "Unknowns", some((_unknown(subject, path) for path in scene.unknowns), between="; ")
     yield "Data", _data(scene)
     yield "Observers", _plugins(scene.observers)
     yield "Controller", "" if scene.controller is None else scene.controller.name

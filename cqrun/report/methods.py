@@ -77,9 +77,15 @@ def _grid(subject: Subject) -> str:
     )
     parts: dict[str, Thinnest] = getattr(subject.run.result, "thinnest", {})
     if parts:
-        least = min(parts.values(), key=lambda part: part.cells)
-        words += f", at least {least.cells:.2g} cells and {least.particles:.2g} particles across the thinnest part"
+        name, least = min(parts.items(), key=lambda entry: entry[1].cells)
+        words += f". The thinnest part of {clipped(name, 60)}, {short(1e3 * least.thickness)} mm, has "
+        words += f"{_of(least.cells, 'cell')} and {_of(least.particles, 'particle')} across it"
     return f"{words}. Numbers were {'double' if scene.precision == 'float64' else 'single'} precision."
+
+
+def _of(number: float, what: str) -> str:
+    """Return a number of things, which need not be whole."""
+    return f"{number:.2g} {what}" + ("" if f"{number:.2g}" == "1" else "s")
 
 
 def _particles(subject: Subject) -> int:

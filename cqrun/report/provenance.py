@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,8 +20,8 @@ from cqrun.store.run import SCENE
 
 ORIGINAL = "scene.original.yaml"
 
-PROGRAMS = ("cqrun", "__main__.py")
-"""Names of the program when it was started as a command."""
+STARTED_AS = re.compile(r"(.*/)?cqrun(/__main__\.py)?", re.DOTALL)
+"""The program when it was started as a command, `cqrun` or `python -m cqrun`."""
 
 MOST_BYTES = 1 << 20
 """Bytes of a scene that are read, at most."""
@@ -46,7 +47,7 @@ def scene_and_command(subject: Subject) -> Iterator[Block]:
 def command(record: dict[str, Any]) -> str:
     """Return the command of a run as it was typed, without the place of the program; empty if it was not a command."""
     words = [str(word) for word in record.get("argv") or []]
-    if not words or Path(words[0]).name not in PROGRAMS:
+    if not words or not STARTED_AS.fullmatch(words[0]):
         return ""
     return harmless(shlex.join(["cqrun", *words[1:]])).replace("\n", " ")
 

@@ -43,11 +43,11 @@ def clipped(text: str, most: int = 200) -> str:
     return text if len(text) <= most else f"{text[: most - 4].rstrip()} ..."
 
 
-def some(names: Iterable[str], most: int = 8) -> str:
-    """Return names with commas, and how many are left out."""
+def some(names: Iterable[str], most: int = 8, between: str = ", ") -> str:
+    """Return names with commas, or what else is `between` them, and how many are left out."""
     each = list(names)
     more = f" and {len(each) - most:,} more" if len(each) > most else ""
-    return ", ".join(clipped(name, 240) for name in each[:most]) + more
+    return between.join(clipped(name, 240) for name in each[:most]) + more
 
 
 def spread(values: Sequence[float]) -> str:

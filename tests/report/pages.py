@@ -49,6 +49,8 @@ class Read(HTMLParser):
         """Compare the end of an element with the last one that is open."""
         if not self._open or self._open.pop() != tag:
             self.problems.append(f"</{tag}> at {self.getpos()}")
+        if tag not in ("code", "a"):
+            self._text.append(" ")
 
     def handle_data(self, data: str) -> None:
         """Keep text, but no style."""
