@@ -10,6 +10,7 @@ from typing import Any
 from urllib.parse import quote
 
 from cqrun.explain import Loc
+from cqrun.figures.quantities import capitalised
 from cqrun.figures.run_data import RunData, read_run
 from cqrun.report.asked import task
 from cqrun.report.blocks import Block, Cell, Folded, Link, Notes, Page, Section, Table, Text
@@ -61,7 +62,7 @@ def write_several(paths: Sequence[Path], out: Path, *, pictures: bool = True) ->
         write_page(
             Page(
                 title,
-                some({task_of(run): None for run in runs}, 3),
+                capitalised(some(dict.fromkeys(task_of(run) for run in runs), 3)),
                 badge,
                 "good" if ended == len(runs) else "mixed",
                 sections,
@@ -121,7 +122,8 @@ def _link(run: RunData, beside: Path) -> Link:
 
 def _compared(runs: Sequence[RunData]) -> Iterator[Block]:
     """Yield tables with a column for each run: what differs between the scenes, and what was found."""
-    head = ("", *(_label(run) for run in runs))
+    one_scene = len({run.name for run in runs}) == 1  # then hashes alone are shorter columns
+    head = ("", *(run.path.resolve().name if one_scene else _label(run) for run in runs))
     ends = [("status", *(run.status for run in runs)),
             ("time taken", *(duration(float(run.record["seconds"])) for run in runs))]  # fmt: skip
     asked = _differences([dict(_leaves(resolve(run.scene))) for run in runs])

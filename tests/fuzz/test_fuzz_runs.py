@@ -29,7 +29,7 @@ FEW = 40
 MANY, CHUNK = 500, 50
 """Number of damaged runs in the long test, and in one test of it."""
 
-DRAWN, REPLAYED = ("resume", "plot", "render --png"), ("resume", "plot", "render --png", "simulate")
+DRAWN, REPLAYED = ("resume", "plot", "render --png", "report"), ("resume", "plot", "render --png", "report", "simulate")
 LEARNING, FITTING = ("resume", "resume", "plot", "simulate"), ("resume", "resume", "plot")
 
 UNREAD = {"scene.original.yaml"}
