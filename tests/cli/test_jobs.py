@@ -64,7 +64,7 @@ def test_pictures_can_be_switched_off(cqrun, scene, monkeypatch, tmp_path):
 def test_gradcheck_ends_with_0_or_1(cqrun, scene, monkeypatch):
     code, out, _ = cqrun("gradcheck", scene, "--quiet")
     assert code == 0
-    assert "adjoint and differences agree\nrun: results/fit/" in out
+    assert "adjoint and differences agree\n\nsee report.html\nrun: results/fit/" in out
     right = Params.gradient
     monkeypatch.setattr(Params, "gradient", lambda self, x, by_value: 1.001 * right(self, x, by_value))
     code, out, _ = cqrun("gradcheck", scene, "--quiet", "--fresh")
