@@ -12,6 +12,7 @@ from urllib.parse import quote
 from cqrun.explain import Loc
 from cqrun.figures.quantities import capitalised
 from cqrun.figures.run_data import RunData, read_run
+from cqrun.jobs.table import job_of
 from cqrun.report.asked import task
 from cqrun.report.blocks import Block, Cell, Folded, Link, Notes, Page, Section, Table, Text
 from cqrun.report.cite import citation
@@ -23,7 +24,7 @@ from cqrun.report.words import clipped, count, short, some
 from cqrun.running.cost import duration
 from cqrun.scene.keypath import joined, shortest
 from cqrun.scene.load import resolve
-from cqrun.store.folder import REPORT
+from cqrun.store.folder import FIGURES, REPORT
 from cqrun.store.result import LearnedResult, Result, Search, SimulateResult, SysidResult, values_in
 
 MOST_RUNS = 8
@@ -59,16 +60,8 @@ def write_several(paths: Sequence[Path], out: Path, *, pictures: bool = True) ->
         ended = sum(run.succeeded for run in runs)
         badge = "all ended" if ended == len(runs) else f"{ended} of {len(runs)} ended"
         title = f"{count(len(runs), 'run')} of {some(names, 3)}"
-        write_page(
-            Page(
-                title,
-                capitalised(some(dict.fromkeys(task_of(run) for run in runs), 3)),
-                badge,
-                "good" if ended == len(runs) else "mixed",
-                sections,
-            ),
-            out,
-        )
+        lead = capitalised(some(dict.fromkeys(task_of(run) for run in runs), 3))
+        write_page(Page(title, lead, badge, "good" if ended == len(runs) else "mixed", sections), out)
     return out
 
 
@@ -88,16 +81,24 @@ def run_sections(runs: Sequence[RunData], folder: Path, *, pictures: bool) -> li
     for k, run in enumerate(runs[:MOST_RUNS]):
         place = folder / str(k)
         place.mkdir()
-        subject = subject_of(run, place, pictures=pictures, film=pictures and len(runs) <= MOST_FILMS)
+        films = pictures and len(runs) <= MOST_FILMS
+        subject = subject_of(run, place, pictures=pictures, film=films, drawn=_drawn(run))
         blocks.append(Folded(f"{_label(run)}: {run.status}", list(_of_run(subject))))
     if len(runs) > MOST_RUNS:
         blocks.append(Text(
             f"The page has the whole reports of the first {MOST_RUNS} runs, to stay small. `cqrun report RUN` writes "
-            f"that of any other."
+            "that of any other."
         ))  # fmt: skip
     first = Subject(runs[0])
     cite = Section("cite", "How to cite", list(citation(first.fact("versions", "cqrun"), first.fact("engine"))))
     return [Section("runs", "Each run", blocks), cite]
+
+
+def _drawn(run: RunData) -> list[Path] | None:
+    """Return the pictures that a run drew when it ended; None if it has none, so that they are drawn for the page."""
+    names = {*job_of(run.path).pictures} - {"tracks"}
+    drawn = [p for p in sorted((run.path / FIGURES).glob("*.png")) if p.stem in names or p.stem.startswith("tracks_")]
+    return drawn if drawn and run.succeeded else None
 
 
 def _of_run(subject: Subject) -> Iterator[Block]:
