@@ -52,10 +52,17 @@ def _reactions(subject: Subject) -> tuple[str, str]:
     return f"Force and moment of the boundaries ({some(subject.run.scene.boundaries, 4)}) over time.", "Reactions"
 
 
+def _measured(subject: Subject) -> tuple[str, str]:
+    names = some(subject.run.scene.measure, 4)
+    along = "along the path of equilibria" if subject.run.job == "rest" else "over time"
+    return f"The measured quantities ({names}) {along}.", "Measured quantities"
+
+
 SHOWS: dict[str, Callable[[Subject], tuple[str, str]]] = {
     "overview": _overview,
     "bodies": _bodies,
     "convergence": _convergence,
+    "measured": _measured,
     "path": _path,
     "reactions": _reactions,
     "design": _design,

@@ -15,6 +15,7 @@ from cqrun.report.measured import measured
 from cqrun.report.methods import methods
 from cqrun.report.notices import notices
 from cqrun.report.provenance import made, scene_and_command
+from cqrun.report.quantities import quantities
 from cqrun.report.subject import Subject
 
 
@@ -28,6 +29,7 @@ class Kind(NamedTuple):
 
 SECTIONS = (
     Kind("found", "Result", found),
+    Kind("quantities", "Measured quantities", quantities),
     Kind("warnings", "Warnings", notices),
     Kind("asked", "What was asked", asked),
     Kind("motion", "Motion", motion),

@@ -28,6 +28,7 @@ boundaries: {clamp: {sticky: {region: {box: {corner: [0, 0], size: [0.04, 0.2]}}
 loads:
   pull: {point_force: {body: beam, force: [0, 0], region: {box: {corner: [0.13, 0.1], size: [0.01, 0.03]}}}}
 path: {loads.pull.point_force.force.1: {first: 0, last: -2, points: 3}}
+measure: {sag: {displacement: {group: tip}}, held: {reaction: {boundary: clamp}}}
 time: {duration: 0.1, control_step: 0.01}
 """
 

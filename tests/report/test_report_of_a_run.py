@@ -239,3 +239,13 @@ def test_long_tables_end_and_empty_columns_are_left_out():
 
 def test_template_and_style_are_part_of_the_package():
     assert {"page.html.j2", "page.css"} <= {file.name for file in resources.files("cqrun.report").iterdir()}
+
+
+def test_measured_quantities_have_a_table_and_a_picture(made_runs):
+    page = read(made_runs["rest"])
+    measured = json.loads((made_runs["rest"] / "result.json").read_text())["measured"]
+    assert list(measured) == ["sag.x", "sag.y", "held.x", "held.y"]
+    assert "Measured quantities" in page.text
+    assert re.search(r"sag\.y m 0 -0\.0", page.text)
+    alts = page.of("img", "alt")
+    assert any(alt == "The measured quantities (sag and held) along the path of equilibria." for alt in alts)
