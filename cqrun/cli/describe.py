@@ -11,6 +11,7 @@ import typer
 
 from cqrun.cli.options import PluginFiles
 from cqrun.cli.terminal import echo
+from cqrun.cli.units_page import UNITS
 from cqrun.errors import UsageError
 
 if TYPE_CHECKING:
@@ -22,7 +23,8 @@ LIMITS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 
 def describe(
     kind: Annotated[
-        str | None, typer.Argument(help="Kind of plug-in, such as elastic, or material for all its kinds.")
+        str | None,
+        typer.Argument(help="Kind of plug-in, such as elastic; section of a scene, such as bodies; or units."),
     ] = None,
     name: Annotated[str | None, typer.Argument(help="Name of a plug-in, such as fixed_corotated.")] = None,
     plugin: PluginFiles = None,
@@ -40,12 +42,15 @@ def _lines(kind: str | None, name: str | None) -> Iterator[str]:
     if kind is None:
         yield "kinds (cqrun describe KIND [NAME]):"
         yield from (f"  {k:14} {', '.join(_plugins(k))}" for k in _kinds())
+        yield "units of a scene, also in 2D, and common mistakes: cqrun describe units"
         yield "parts of a scene (cqrun describe PART):"
         yield f"  {', '.join(_sections())}"
         return
-    if name is None and kind in _sections() and kind != "material":  # the kinds of material are listed below
-        yield from _page("scene", kind, _sections()[kind])
-        return
+    section = _section_called(kind)
+    if name is None and (lines := _part_of_a_scene(kind, section)):
+        yield from lines
+        if kind != "material":  # its terms are plug-ins, which are listed, too
+            return
     kinds = _kinds_called(kind, name)
     # a shape is also a region, but it is listed only once
     entries = [(k, n, cls) for k in kinds for n, cls in _plugins(k).items() if len(kinds) == 1 or cls.kind == k]
@@ -61,6 +66,32 @@ def _lines(kind: str | None, name: str | None) -> Iterator[str]:
         raise UsageError(f"no {kind} is called '{requested}'{suggest(requested, names)}; there are: {listed(names)}")
     for k, n, cls in pages:
         yield from _page(k, n, cls)
+    if name is None and section is not None:
+        yield f"for the section `{section}` of a scene: cqrun describe {section}"
+
+
+def _part_of_a_scene(word: str, section: str | None) -> list[str]:
+    """Return the page of the units, of a section, or of one field of a scene; empty if a word means plug-ins."""
+    from cqrun.scene.schema import Scene
+
+    if word == "units":
+        return UNITS.splitlines()
+    if section is not None and (section == word or not _is_a_plugin(word)):
+        return list(_page("scene", section, _sections()[section]))
+    info = Scene.model_fields.get(word)
+    if info is None or _choices(info) or word == "regions":  # their plug-ins are listed
+        return []
+    return [f"scene: {word}", "", *_field(Scene, word, ""), ""]
+
+
+def _is_a_plugin(word: str) -> bool:
+    return word in _kinds() or any(word in _plugins(kind) for kind in _kinds())
+
+
+def _section_called(word: str) -> str | None:
+    """Return the section that a word means: `bodies`, and `body` for one of them."""
+    plurals = (word, f"{word}s", f"{word[:-1]}ies")
+    return next((section for section in _sections() if section in plurals), None)
 
 
 def _sections() -> dict[str, type[BaseModel]]:
@@ -99,6 +130,8 @@ def _kinds_called(word: str, name: str | None) -> list[str]:
     kinds = _kinds()
     if word in kinds:
         return [word]
+    if word.removesuffix("s") in kinds:
+        return [word.removesuffix("s")]
     in_folder = [k for k in kinds if FOLDERS[k].rpartition(".")[2] in (word, f"{word}s")]
     if in_folder:
         return in_folder
@@ -106,6 +139,9 @@ def _kinds_called(word: str, name: str | None) -> list[str]:
     named = [k for k, names in everything.items() if word in names]
     if named and name is None:
         return named
+    if owners := [section for section, spec in _sections().items() if word in spec.model_fields]:
+        pages = " and ".join(f"`cqrun describe {owner}`" for owner in owners)
+        raise UsageError(f"'{word}' has no page of its own: it is a field, described by {pages}")
     near = suggest(word, [*kinds, *_sections(), *(n for names in everything.values() for n in names)])
     raise UsageError(f"nothing is called '{word}'{near}; kinds: {listed(kinds)}; parts: {listed(_sections())}")
 
@@ -124,22 +160,26 @@ def _page(kind: str, name: str, cls: type[BaseModel]) -> Iterator[str]:
 
 
 def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
-    from cqrun.plugin.contract import field_unit, is_differentiable, is_geometric
-
     if not cls.model_fields and cls.model_config.get("extra") != "allow":  # else its docstring says what its keys are
         yield f"{indent}  no fields"
-    for name, info in cls.model_fields.items():
-        unit = field_unit(cls, name)
-        facts = [f"[{unit}]" if unit else "", _what(info), _range(info), _default(info)]
-        facts.append("differentiable" if is_differentiable(cls, name) else "")
-        facts.append("differentiable in a body" if is_geometric(cls, name) else "")
-        yield f"{indent}  {name}: " + ", ".join(fact for fact in facts if fact)
-        text = (info.description or "").removesuffix(f" [{unit}]")
-        if text:
-            yield f"{indent}      {text}"
-        if not _choices(info):  # each plug-in has its own page
-            for spec in _specs(info.annotation):
-                yield from _fields(spec, indent + "    ")
+    for name in cls.model_fields:
+        yield from _field(cls, name, indent)
+
+
+def _field(cls: type[BaseModel], name: str, indent: str) -> Iterator[str]:
+    from cqrun.plugin.contract import field_unit, is_differentiable, is_geometric
+
+    info, unit = cls.model_fields[name], field_unit(cls, name)
+    facts = [f"[{unit}]" if unit else "", _what(info), _range(info), _default(info)]
+    facts.append("differentiable" if is_differentiable(cls, name) else "")
+    facts.append("differentiable in a body" if is_geometric(cls, name) else "")
+    yield f"{indent}  {name}: " + ", ".join(fact for fact in facts if fact)
+    text = (info.description or "").removesuffix(f" [{unit}]")
+    if text:
+        yield f"{indent}      {text}"
+    if not _choices(info):  # each plug-in has its own page
+        for spec in _specs(info.annotation):
+            yield from _fields(spec, indent + "    ")
 
 
 def _specs(annotation: Any) -> list[type[BaseModel]]:
@@ -205,4 +245,4 @@ def _default(info: FieldInfo) -> str:
     if info.is_required():
         return "optional" if marks(info, FilledIn) else "required"
     default = info.get_default() if info.default_factory is None else None
-    return "optional" if default is None else f"default {default}"
+    return "optional" if default in (None, "") else f"default {default}"

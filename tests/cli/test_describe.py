@@ -7,9 +7,11 @@ from importlib.util import find_spec
 
 import pytest
 
-from cqrun.cli.describe import _lines
+from cqrun.cli.describe import _lines, _sections
 from cqrun.errors import UsageError
+from cqrun.plugin.contract import field_unit
 from cqrun.plugin.registry import FOLDERS, plugins
+from cqrun.scene.schema import Scene
 
 KINDS = [kind for kind, folder in FOLDERS.items() if find_spec(folder)]
 PAGES = [(kind, name) for kind in KINDS for name in plugins(kind)]
@@ -110,8 +112,71 @@ def test_parts_of_a_scene_have_pages(part):
 
 
 def test_a_misspelt_part_gets_a_suggestion():
-    with pytest.raises(UsageError, match=r"nothing is called 'recording' .did you mean 'recordings'"):
-        page("recording")
+    with pytest.raises(UsageError, match=r"nothing is called 'recordngs' .did you mean 'recordings'"):
+        page("recordngs")
+
+
+@pytest.mark.parametrize("section", Scene.model_fields)
+def test_every_section_of_a_scene_can_be_described(section):
+    """A section of plug-ins is their list, any other has a page."""
+    text = page(section)
+    assert re.match(r"scene: |(\w+) \w+: ", text), text
+    assert f"`cqrun describe {section}`" not in text
+
+
+@pytest.mark.parametrize(
+    ("one", "section"),
+    [("body", "bodies"), ("unknown", "unknowns"), ("recording", "recordings"), ("region", "regions")],
+)
+def test_one_of_several_is_described_like_all(one, section):
+    assert page(one) == page(section)
+
+
+def test_a_plugin_with_the_name_of_a_section_points_to_it():
+    assert page("goal").startswith("observer: goal\n")
+    assert page("goal").endswith("for the section `goals` of a scene: cqrun describe goals")
+    assert "cqrun describe goals" not in page("observer", "goal")
+
+
+def test_the_page_of_a_material_has_its_density_and_its_terms():
+    text = page("material")
+    assert "density: [kg/m^3]" in text
+    assert "elastic neo_hookean: " in text
+    assert "material_term viscosity: " in text
+
+
+def test_a_field_is_found_on_the_page_of_its_section():
+    with pytest.raises(
+        UsageError, match="'spin' has no page of its own: it is a field, described by `cqrun describe bodies`"
+    ):
+        page("spin")
+
+
+def test_the_page_of_units_has_the_unit_of_every_field():
+    text = page("units")
+    table = text[text.index("  quantity") : text.index("  Numbers can have an exponent")]
+    parts = [*_sections().values(), *(plugins(kind)[name] for kind, name in PAGES)]
+    units = {field_unit(part, field) for part in parts for field in part.model_fields} - {None}
+    assert {"m", "Pa s", "kg/m^3"} <= units
+    for unit in {unit for several in units for unit in several.split(", ")}:
+        assert re.search(rf"[ ,]{re.escape(unit)}(,|  |\n)", table), unit
+    assert "cqrun describe units" in page()
+
+
+def test_the_page_of_units_converts_correctly():
+    """Every `1 X = Y` is computed with the prefixes and units of SI."""
+    units = {
+        "mm": 1e-3, "cm": 1e-2, "inch": 0.0254, "ms": 1e-3, "g": 1e-3, "kPa": 1e3, "MPa": 1e6, "N/mm^2": 1e6,
+        "bar": 1e5, "psi": 0.45359237 * 9.80665 / 0.0254**2, "g/cm^3": 1e-3 / 1e-6, "mPa s": 1e-3, "mN": 1e-3,
+        "N/mm": 1e3,
+    }  # fmt: skip
+    table = page("units").partition("units in 2D")[0]
+    equations = re.findall(r"([\d.]+) ([A-Za-z][\w/^ ]*?) = ([\d.e+-]*\d)", table)
+    seen = set()
+    for number, unit, value in equations:
+        assert float(value) == pytest.approx(float(number) * units[unit], rel=1e-4), (number, unit, value)
+        seen.add(unit)
+    assert seen == set(units)
 
 
 def test_pages_say_when_a_recording_begins():
