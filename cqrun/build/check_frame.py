@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cqrun.build.alignment import HOLDS
+from cqrun.build.check_clamps import nearest_to
 from cqrun.build.check_holds import reached_nodes, unheld_problems
 from cqrun.build.contact import unknown_surfaces
 from cqrun.build.history import remembering
@@ -96,13 +97,16 @@ def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionMod
     for name, chosen in scene.boundaries.items():
         planes = [plane for plane in conditions if plane.name == name]
         if chosen.name in HOLDS and not held_at(planes, reached, np.array(scene.world.size)).bits.any():
-            path = f"boundaries.{name}.{chosen.name}"
+            path, nodes = f"boundaries.{name}.{chosen.name}", np.any([plane.nodes for plane in planes], axis=0)
+            nearest = ""
+            if nodes.any():
+                nearest = f" ({nearest_to(scene, particles, nodes, particles.names).told(scene.world.dx)})"
             yield (
                 path,
                 (
-                    "holds no particle at rest, and in the reference frame it holds only what it holds at rest: "
-                    f"move it onto the body, make it thicker than a cell of {scene.world.dx:g} m, make it `friction` "
-                    f"or `separate`, which bodies touch, or {WAY_OUT}"
+                    f"holds no particle at rest{nearest}, and in the reference frame it holds only what it holds at "
+                    f"rest: move it onto the body, make it thicker than a cell of {scene.world.dx:g} m, make it "
+                    f"`friction` or `separate`, which bodies touch, or {WAY_OUT}"
                 ),
             )
 

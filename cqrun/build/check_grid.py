@@ -11,9 +11,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from cqrun.boundaries.sticky import Sticky
+from cqrun.build.check_clamps import clamp_warnings
 from cqrun.build.check_gaps import TOO_CLOSE
 from cqrun.build.check_holds import hold_warnings
 from cqrun.build.check_moves import moving_warnings
@@ -33,18 +33,16 @@ ROWS = 2
 CELLS = 3
 """Smallest number of cells through the thickness of a body; with 1, 2 and 3 a beam sags 32, 10 and 6 % too far."""
 
-NEAR = 3.0
-"""A clamp that holds no particle is reported if a body is this close [cells]; farther away it is a floor or a wall."""
-
 
 def grid_warnings(
     scene: Scene, particles: Particles, conditions: Sequence[ConditionModel], rasters: Mapping[str, Raster]
 ) -> list[Problem]:
     """Return warnings about everything that the grid cannot resolve; `rasters` has the bodies by name."""
+    shape = grid_shape(np.array(scene.world.size), scene.world.dx)
     return [
         *_bodies(scene, rasters),
         *_boundaries(scene, conditions),
-        *_clamps(scene, particles, conditions),
+        *clamp_warnings(scene, particles, conditions, nearest_nodes(particles.x, shape, scene.world.dx)),
         *_starts_inside(scene, particles, conditions),
         *hold_warnings(scene, particles, conditions),
         *moving_warnings(scene, particles),
@@ -133,28 +131,6 @@ def _in_world(scene: Scene, nodes: Array) -> Array:
     counts = np.floor(size / scene.world.dx + 1e-9).astype(int) + 1
     inner = tuple(slice(MARGIN, MARGIN + int(count)) for count in counts)
     return np.asarray(nodes.reshape(grid_shape(size, scene.world.dx))[inner])
-
-
-def _clamps(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[Problem]:
-    """Yield warnings about sticky regions that are near a body but hold no particle."""
-    dx = scene.world.dx
-    shape = grid_shape(np.array(scene.world.size), dx)
-    nodes = nearest_nodes(particles.x, shape, dx)
-    for condition in conditions:
-        if not isinstance(condition.spec, Sticky) or condition.spec.region is None or condition.nodes[nodes].any():
-            continue
-        x = (np.argwhere(condition.nodes.reshape(shape)) - MARGIN) * dx
-        distances, _ = cKDTree(x).query(particles.x, distance_upper_bound=NEAR * dx)
-        nearest = int(np.argmin(distances))
-        if not np.isfinite(distances[nearest]):
-            continue
-        gap, body = distances[nearest] / dx, _body_of(particles, nearest)
-        path = f"boundaries.{condition.name}.{condition.spec.name}.region"
-        message = (
-            f"holds {len(x):,} nodes but no particle: the nearest is {gap:.2g} cells away, of '{body}'; to clamp "
-            "a body, let the region reach into it"
-        )
-        yield Problem(scene.where(path), path, message)
 
 
 def _starts_inside(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[Problem]:

@@ -101,6 +101,12 @@ def test_what_it_cannot_do_is_refused(name):
     assert "world.frame: updated" in str(raised.value)
 
 
+def test_a_clamp_that_misses_its_body_says_by_how_much():
+    away = {"sticky": {"region": {"box": {"corner": [0, 0.3], "size": [0.12, 0.3]}}}}
+    with pytest.raises(SceneError, match=r"the nearest particle is of 'a', 0.0851 m \(4.3 cells\) away"):
+        build(load_scene(scene(boundaries={"clamp": away})))
+
+
 SIZE = "bodies.a.shape.box.size.0"
 
 

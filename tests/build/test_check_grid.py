@@ -20,11 +20,13 @@ def box(corner: list[float], size: list[float]) -> dict[str, Any]:
     return {"box": {"corner": corner, "size": size}}
 
 
-def warnings(boundaries: dict[str, Any] | None = None, **body: Any) -> list[str]:
+def warnings(
+    boundaries: dict[str, Any] | None = None, gravity: tuple[float, float] = (0.0, 0.0), **body: Any
+) -> list[str]:
     """Return the warnings on a world of 50 by 50 cells with one body."""
     scene = {
         "cqrun": 1,
-        "world": {"size": [1, 1], "dx": DX, "frame": "updated"},
+        "world": {"size": [1, 1], "dx": DX, "frame": "updated", "gravity": list(gravity)},
         "bodies": {"a": {**BODY, **body}},
         "boundaries": boundaries or {},
         "time": {"duration": 0.1, "control_step": 0.1},
@@ -120,14 +122,33 @@ def test_a_hole_that_closes():
 def test_a_clamp_that_misses_its_body():
     (message,) = warnings(shelf("sticky", [0.3, 0.2], [0.4, 0.39]))
     assert message == (
-        "scene: boundaries.shelf.sticky.region: holds 420 nodes but no particle: the nearest is 1.3 cells away, of "
-        "'a'; to clamp a body, let the region reach into it"
+        "scene: boundaries.shelf.sticky.region: holds 420 nodes but no particle: the nearest particle is of 'a', "
+        "0.0255 m (1.3 cells) away; to clamp a body, let the region reach into it"
     )
 
 
 @pytest.mark.parametrize("top", [0.65, 0.4])
 def test_a_clamp_that_holds_its_body_and_ground_far_below_it(top):
-    assert warnings(shelf("sticky", [0.3, 0.2], [0.4, top - 0.2])) == []
+    assert warnings(shelf("sticky", [0.3, 0.2], [0.4, top - 0.2]), gravity=(0, -9.81)) == []
+
+
+AWAY = "no particle: the nearest particle is of 'a', 0.205 m (10 cells) away; to clamp a body"
+
+
+@pytest.mark.parametrize(
+    ("gravity", "velocity", "meets"),
+    [((0, 0), (0, 0), False), ((0, -9.81), (0, 0), True), ((9.81, 0), (0, 0), False), ((0, 9.81), (0, 0), False),
+     ((0, 0), (0.1, -1), True), ((0, 0), (1, 0.1), False)],
+)  # fmt: skip
+def test_a_clamp_far_from_a_body_that_does_not_come_to_it(gravity, velocity, meets):
+    """The shelf is 0.2 m below the ball."""
+    told = warnings(shelf("sticky", [0.3, 0.2], [0.4, 0.2]), gravity=gravity, velocity=list(velocity))
+    assert [AWAY in text for text in told] == [True] * (not meets)
+
+
+def test_an_obstacle_far_from_a_body_that_is_clamped():
+    clamp = {"clamp": {"sticky": {"region": box([0.3, 0.75], [0.4, 0.1])}}}
+    assert warnings(shelf("sticky", [0.3, 0.2], [0.4, 0.2]) | clamp) == []
 
 
 @pytest.mark.parametrize(("top", "inside"), [(0.6, False), (0.61, False), (0.62, True), (0.66, True)])
