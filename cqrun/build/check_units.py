@@ -121,6 +121,8 @@ def _in_si(scene: Scene) -> bool:
 def require_possible_plan(scene: Scene, limits: list[Limit]) -> None:
     """Raise a SceneError if a run would have too many substeps; it names the part that asks for them.
 
+    Questions about units follow, because another unit is the likely cause.
+
     Args:
         limits: the bounds on the substep.
     """
@@ -140,7 +142,7 @@ def require_possible_plan(scene: Scene, limits: list[Limit]) -> None:
         f"asks for a run of {count:,} substeps, more than {MOST_SUBSTEPS_IN_A_RUN:,}: {cause}; check its numbers and "
         "their units, use a larger dx or a shorter run"
     )
-    raise SceneError([Problem(scene.where(path), path, message)])
+    raise SceneError([Problem(scene.where(path), path, message), *unit_questions(scene)])
 
 
 def _size(shape: Shape) -> Array:

@@ -349,7 +349,7 @@ def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:
                 f"asks for substeps of {limit.dt:.3g} s, more than {MOST_SUBSTEPS:.0e} in a control step of "
                 f"{scene.time.control_step:g} s: check its numbers and their units"
             )
-            raise SceneError([Problem(scene.where(path), path, message)])
+            raise SceneError([Problem(scene.where(path), path, message), *unit_questions(scene)])
     return limits
 
 

@@ -174,3 +174,13 @@ def test_plan_of_too_many_substeps_is_an_error_with_its_cause(
     assert problem.path == path
     assert "substeps, more than 100,000,000: " in problem.message
     assert cause in problem.message
+
+
+@pytest.mark.parametrize("modulus", [5e10, 5e24])  # too many substeps in the run, and in a control step
+def test_refused_plan_asks_for_the_unit_that_may_have_caused_it(modulus: float) -> None:
+    with pytest.raises(SceneError) as info:
+        build(scene(f"{DENSITY}=1.07", f"{MODULUS}={modulus}", "time.duration=1000"))
+    plan, question = info.value.problems
+    assert plan.path == "bodies.arm.material"
+    assert question.path == DENSITY
+    assert question.message.endswith("is it in g/cm^3? then give 1070")
