@@ -10,6 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from cqrun.build.check_grid import CELLS
+from cqrun.build.thickness import thinnest_parts
 from cqrun.explain import listed
 from cqrun.fitting.identifiability import FLAT, Unknown, follow
 from cqrun.fitting.problem import FitProblem
@@ -22,6 +24,9 @@ from cqrun.store.result import HeldNumber
 
 RATIO, PART = 0.1, 0.1
 """Assumed errors of what a scene holds fixed: of a Poisson's ratio, and of any other number relative to itself."""
+
+ROUNDING = 1e-6
+"""Relative error of a thickness in cells."""
 
 INWARD = 0.01
 """Distance from its bound at which the effect of an unknown is tested, in scaled coordinates."""
@@ -84,8 +89,32 @@ def at_bounds(problem: FitProblem, x: Array, held: Mapping[str, tuple[float, flo
             else:
                 yield (
                     f"{ended}: {best} lies there or beyond. Widen the bound if such a value is possible; if not, "
-                    f"another number is wrong{wrong}"
+                    f"another number is wrong{wrong}{_thin_on_the_grid(problem, block.path)}"
                 )
+
+
+def _thin_on_the_grid(problem: FitProblem, path: str) -> str:
+    """Return a likely cause of a value at its bound: bodies too thin for the grid; empty if there are none.
+
+    Synthetic data come from the same grid, which then is no cause.
+    """
+    built = problem.cases[0].built
+    if built.scene.data is None or built.scene.synthetic is not None:
+        return ""
+    first, _, rest = split_own(path)[1].partition(".")
+    own = rest.partition(".")[0] if first == "bodies" else ""
+    thin = {
+        name: part
+        for name, part in thinnest_parts(built).items()
+        if own in ("", name) and part.cells < CELLS * (1 - ROUNDING)
+    }
+    if not thin:
+        return ""
+    cells = {name: f"{part.cells:.2g}" for name, part in thin.items()}
+    which = listed(f"'{name}' is {count} cell{'s' * (count != '1')} thick" for name, count in cells.items())
+    damps = ", and the updated frame damps its motion" if built.scene.world.frame == "updated" else ""
+    finest = min(part.thickness for part in thin.values()) / CELLS
+    return f". A likely cause is the grid: {which}, and so bends too easily{damps}; fit with a dx of {finest:.3g} m"
 
 
 def _does_nothing(problem: FitProblem, x: Array, k: int) -> bool:

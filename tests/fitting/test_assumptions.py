@@ -7,11 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_beam import E_PATH, SHEAR_PATH, changed, result_of
+from small_beam import E_PATH, SHEAR_PATH, changed, record, recorded, result_of
 
-from cqrun.fitting.assumptions import of_the_substep
+from cqrun.build.model import build
+from cqrun.fitting.assumptions import _thin_on_the_grid, of_the_substep
 from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.table import report_lines
+from cqrun.scene.load import load_scene
 
 MATERIAL = "bodies.beam.material"
 RATIO = f"{MATERIAL}.elastic.fixed_corotated.poissons_ratio"
@@ -76,6 +78,27 @@ def test_an_unknown_that_ends_at_its_bound(fit, tmp_path):
         f"{E_PATH} ended at its upper bound, 35000: the best fit lies there or beyond. Widen the bound if such a value "
         f"is possible; if not, another number is wrong, such as one that the scene holds fixed ({DENSITY} = 1000)"
     )
+
+
+@pytest.mark.parametrize("frame", ["updated", "reference"])
+def test_a_body_that_is_thin_on_the_grid_is_the_likely_cause_of_a_value_at_its_bound(frame, fit, tmp_path):
+    """With synthetic data it is not, as they come from the same grid."""
+    (file,) = record(fit, tmp_path / "data")
+    scene = changed(recorded(fit, {"one": file}), "bounds: [1.0e4, 1.0e5]", "bounds: [1.0e4, 3.1e4]")
+    _, told = findings(scene, tmp_path, f"world.frame={frame}", "time.substeps=24")
+    assert told[0].startswith(f"{E_PATH} ended at its upper bound, 31000: the best fit lies there or beyond. ")
+    damps = ", and the updated frame damps its motion" if frame == "updated" else ""
+    assert told[0].endswith(
+        ". A likely cause is the grid: 'beam' is 1 cell thick, and so bends too easily"
+        f"{damps}; fit with a dx of 0.00333 m"
+    )
+
+
+def test_a_body_of_three_cells_is_no_cause(fit, tmp_path):
+    (file,) = record(fit, tmp_path / "data")
+    scene = load_scene(recorded(fit, {"one": file}), ["world.dx=0.00333", "time.substeps=auto"])
+    case = SimpleNamespace(built=build(scene))
+    assert _thin_on_the_grid(SimpleNamespace(cases=[case]), E_PATH) == ""
 
 
 def test_an_unknown_that_does_nothing_stays_at_its_bound(fit, tmp_path):
