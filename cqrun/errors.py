@@ -134,10 +134,12 @@ class RolloutError(RunError):
         body: name of the body that the particle belongs to.
         particle: index of the particle inside that body.
         time: when it happened [s].
-        advice: what to change.
+        advice: the likely cause, or what to change.
+        group: name of a group of the body that contains the particle, or "".
     """
 
-    def __init__(self, reason: str, *, body: str, particle: int, time: float, advice: str) -> None:
-        self.reason, self.body, self.particle = reason, body, particle
+    def __init__(self, reason: str, *, body: str, particle: int, time: float, advice: str, group: str = "") -> None:
+        self.reason, self.body, self.particle, self.group = reason, body, particle, group
         self.time, self.advice = time, advice
-        super().__init__(f"body '{body}', particle {particle}, t = {time:.6g} s: {reason}; {advice}")
+        of = f" (group '{group}')" if group else ""
+        super().__init__(f"body '{body}', particle {particle}{of}, t = {time:.6g} s: {reason}; {advice}")

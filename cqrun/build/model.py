@@ -135,6 +135,7 @@ def build(scene: Scene) -> Built:
         n_nodes=0 if offset is None else count_nodes(particles.layout, particles.x, scene.world.dx, offset),
         reactions=needed_boundaries(scene),
         centers=centers(scene, particles, conditions) if scene.world.frame == "reference" else {},
+        regions={(body, name): p for body in particles.names for name, p in particles.groups(body).items()},
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings), rasters)
 

@@ -12,6 +12,7 @@ from numba import config
 from cqrun.engine.model import Inputs, Model, Records
 from cqrun.engine.policy import Policy
 from cqrun.engine.setting import Drive, Group, Probe
+from cqrun.engine.suspects import group_of
 from cqrun.engine.team import Team
 from cqrun.errors import RolloutError
 from cqrun.forces.pulled import pulled_lanes
@@ -164,6 +165,11 @@ class ForwardRun(ABC):
         self.final = states[0]
         return self.read_records()
 
+    def activation_at(self, step: int) -> Array:
+        """Return the activations (A,) of the control step to which a substep belongs."""
+        control = min(max(step - 1, 0) // self.model.substeps, self.model.n_controls - 1)
+        return np.asarray(self.activation[control])
+
     def read_records(self) -> Records:
         """Return a copy of the probe's records so far; the rest of them is not filled."""
         return Records.from_rows(self.records.copy(), self.model.layout.table)
@@ -196,4 +202,5 @@ class ForwardRun(ABC):
     def _report(self, particle: int, step: int, reason: str, advice: str) -> None:
         slices, time = self.model.layout.slices(), step * self.model.dt
         name, part = next((n, s) for n, s in zip(self.model.body_names, slices, strict=True) if particle < s.stop)
-        raise RolloutError(reason, body=name, particle=particle - part.start, time=time, advice=advice)
+        group = group_of(self.model, particle)
+        raise RolloutError(reason, body=name, particle=particle - part.start, group=group, time=time, advice=advice)

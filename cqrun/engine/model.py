@@ -102,6 +102,10 @@ class Model:
     meeting: MeetingModel | None = None  # of bodies with each other, in the reference frame
     reactions: tuple[str, ...] = ()  # boundaries whose forces and moments are recorded, in the reference frame
     centers: Mapping[str, Array] = field(default_factory=dict)  # by boundary: about which moments and rotations are [m]
+    regions: Mapping[tuple[str, str], Array] = field(
+        default_factory=dict, repr=False, compare=False
+    )  # of messages: the
+    # particles of each group, by body and name
     spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # free memory for states
     at_rest: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)  # what a frame knows of the rest
 

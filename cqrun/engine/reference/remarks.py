@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cqrun.engine.reference.stretch import COLUMN, FIRST, LEAST, MATRIX, MOST, STEP, VALUE, VOLUME
+from cqrun.engine.suspects import driver_at, place_of
 from cqrun.materials.term import has_history, kirchhoff
 from cqrun.plugin.contract import Array
 
@@ -44,12 +45,17 @@ DIFFERENCE = 1e-6
 
 
 class Noted(NamedTuple):
-    """A particle that was deformed much: its body, when, its principal stretches in order, and the substeps needed."""
+    """A particle that was deformed much: its body, when, its principal stretches in order, and the substeps needed.
+
+    `place` has its body and group as text, and `driver` a sentence about an actuator that deforms it, or nothing.
+    """
 
     body: str
     time: float
     stretches: Array
     substeps: int
+    place: str
+    driver: str
 
     def __str__(self) -> str:
         """Say how it was deformed."""
@@ -58,7 +64,7 @@ class Noted(NamedTuple):
         if most > LONGER:
             thinned = f" and thinned to {least:.2f} across" if least < 1.0 / LONGER else ""
             how = f"stretched to {most:.2f} times its length{thinned}"
-        return f"'{self.body}' was {how} at t = {self.time:.4g} s"
+        return f"{self.place} was {how} at t = {self.time:.4g} s"
 
 
 def remarks_on(rollout: ReferenceRollout) -> Iterator[str]:
@@ -77,7 +83,7 @@ def why_it_failed(rollout: ReferenceRollout) -> str:
     """Return what led to values that are not finite, as far as it was seen, and the substeps to try."""
     seen = [*remarks_on(rollout)]
     seen += [sentence for sentence in _pulled(rollout, 0.5 * FAR) if sentence not in seen]
-    if not any("time.substeps=" in sentence for sentence in seen):
+    if not any("time.substeps=" in sentence or "the actuator" in sentence for sentence in seen):
         seen.append(f"try time.substeps={2 * rollout.model.substeps}, a softer material or weaker actuation")
     return "; ".join(seen)
 
@@ -86,6 +92,9 @@ def _pulled(rollout: ReferenceRollout, far: float) -> Iterator[str]:
     """Yield a question about the body that is stretched most, if it is stretched beyond `far`."""
     most = max(_noted(rollout), key=lambda each: float(each.stretches[-1]), default=None)
     if most is not None and most.stretches[-1] > far:
+        if most.driver:
+            yield f"{most}: {most.driver}"
+            return
         yield (
             f"{most}: bodies of the reference frame do not tear; if '{most.body}' should, use `world.frame: updated`"
         )
@@ -94,13 +103,13 @@ def _pulled(rollout: ReferenceRollout, far: float) -> Iterator[str]:
 def _inverted(rollout: ReferenceRollout) -> Iterator[str]:
     row, dt = rollout.bundle.least[VOLUME], rollout.model.dt
     if row[FIRST] >= 0:
-        body = rollout.model.body_names[_body_of(rollout, int(row[COLUMN]))]
+        place = place_of(rollout.model, int(rollout.model.layout.sources()[int(row[COLUMN])]))
         # what a run that blew up has in the end says nothing
         least = f", to a volume ratio of J = {row[VALUE]:.2g} at t = {row[STEP] * dt:.4g} s" * bool(
             row[VALUE] > -WILDEST
         )
         yield (
-            f"'{body}' is inverted from t = {row[FIRST] * dt:.4g} s on: its material is turned inside out{least}, which"
+            f"{place} is inverted from t = {row[FIRST] * dt:.4g} s on: its material is turned inside out{least}, which"
             " is not physical; load it less or more slowly, or use a law that resists it (`neo_hookean`), a finer grid"
             " or smaller substeps"
         )
@@ -113,9 +122,13 @@ def _noted(rollout: ReferenceRollout) -> list[Noted]:
         if row[COLUMN] >= 0:
             F = row[MATRIX : MATRIX + dim * dim].reshape(dim, dim)
             stretches, k = np.linalg.svd(F, compute_uv=False)[::-1], _body_of(rollout, int(row[COLUMN]))
-            limit = _limit(rollout, k, int(rollout.model.layout.sources()[int(row[COLUMN])]), F)
+            particle = int(rollout.model.layout.sources()[int(row[COLUMN])])
+            limit = _limit(rollout, k, particle, F)
             substeps = 0 if limit <= 0 else int(np.ceil(rollout.model.substeps * rollout.model.dt / limit))
-            found.append(Noted(rollout.model.body_names[k], row[STEP] * rollout.model.dt, stretches, substeps))
+            time, J = row[STEP] * rollout.model.dt, float(np.linalg.det(F))
+            driver = driver_at(rollout.model, particle, J, rollout.activation_at(int(row[STEP])))
+            place = place_of(rollout.model, particle)
+            found.append(Noted(rollout.model.body_names[k], time, stretches, substeps, place, driver))
     return found
 
 

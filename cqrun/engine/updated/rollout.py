@@ -9,6 +9,7 @@ from cqrun.engine.model import LossBar
 from cqrun.engine.probe import record
 from cqrun.engine.rollout import Rollout
 from cqrun.engine.setting import MARGIN, Crew
+from cqrun.engine.suspects import suspect
 from cqrun.engine.updated.backward import UpdatedBackward
 from cqrun.engine.updated.setting import Run, Setting, make_work, node_strides
 from cqrun.engine.updated.step import advance
@@ -86,11 +87,20 @@ class UpdatedRollout(Rollout):
             self._fail(lane + int(astray[0]) if len(astray) else lane, reached, q)
 
     def _fail(self, column: int, step: int, q: Array) -> None:
+        """Raise a RolloutError about a particle that is lost, with the likely cause."""
         x = unpack(q)[: self.model.dim, column]
+        cause = "" if step == 0 else suspect(self.model, self.unpack(q, 0), self.activation_at(step))
         if np.isfinite(x).all():
-            reason = f"left the grid at {np.array2string(x.astype(float), precision=4)} m"
+            reason = f"left the grid at {np.array2string(x.astype(float), precision=4)} m{self._speed(column, q)}"
             advice = "enlarge the world, add a boundary at its faces, or reduce what drives the body out"
+            advice = f"{cause}; or else {advice}" if cause else advice
         else:
             reason = "its position is not finite"
-            advice = "the simulation blew up: use smaller substeps, a softer material or weaker actuation"
+            advice = f"the simulation blew up: {cause or 'use smaller substeps, a softer material or weaker actuation'}"
         self._report(int(self.model.layout.sources()[column]), step, reason, advice)
+
+    def _speed(self, column: int, q: Array) -> str:
+        """Return the speed of a particle as text, if it moves by more than half a cell in a substep."""
+        speed = float(np.linalg.norm(unpack(q)[self.model.dim : 2 * self.model.dim, column].astype(float)))
+        cells = speed * self.model.dt / self.model.dx
+        return f", at {speed:.4g} m/s, which is {cells:.4g} cells in a substep" if cells > 0.5 else ""
