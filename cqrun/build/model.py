@@ -15,6 +15,7 @@ from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_frame import frame_problems
 from cqrun.build.check_grid import grid_warnings
+from cqrun.build.check_routes import route_warnings
 from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.conditions import all_conditions
 from cqrun.build.contact import contact_limits, contact_parts
@@ -110,6 +111,7 @@ def build(scene: Scene) -> Built:
     surface, obstacles, meeting, conditions = contact_parts(scene, particles, assembly, conditions)
     rasters = {name: rasterised(body, scene.world.dx) for name, body in scene.bodies.items()}
     warnings += [*grid_warnings(scene, particles, conditions, rasters), *alignment_warnings(scene, particles)]
+    warnings += route_warnings(scene, particles, assembly.actuation.every)
     offset = grid_offset(scene, particles)
     model = Model(
         size=np.array(scene.world.size),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from math import prod
 from pathlib import Path
-from typing import Any
 
 from cqrun.build.check_grid import nearest_nodes
 from cqrun.build.load_path import points_of
@@ -14,7 +13,7 @@ from cqrun.build.model import Built
 from cqrun.build.thickness import thinnest_parts
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import ConditionModel
-from cqrun.errors import SceneError
+from cqrun.errors import SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.fitting.case import Case
 from cqrun.fitting.cases import given_cases, is_fit, recording_warnings
@@ -26,7 +25,7 @@ from cqrun.jobs.table import JOBS
 from cqrun.learning.agent import Agent
 from cqrun.learning.description import control_lines, line, objective_lines
 from cqrun.learning.episodes import EpisodeProblem, differentiated, has_episodes
-from cqrun.running.bodies import lies, made_of, resolved, rounding_of
+from cqrun.running.bodies import lies, made_of, on_particles, resolved, rounding_of
 from cqrun.running.cost import NANOSECONDS, duration, forward_seconds, gradient_seconds
 from cqrun.running.gradient_memory import GRADIENT, gradient_plan
 from cqrun.running.reporter import Silent
@@ -56,6 +55,7 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     thinnest = thinnest_parts(built)
     for name in built.particles.names:
         yield from _body(built, name, thinnest[name])
+    yield from _regions(built)
     yield from _actuators(built)
     yield from _measured(built)
     yield from _rest(built) if at_rest(scene) else _time(built)
@@ -127,11 +127,23 @@ def _body(built: Built, name: str, thinnest: Thinnest) -> Iterator[str]:
         yield line("", f"groups: {listed(groups)}")
 
 
+def _regions(built: Built) -> Iterator[str]:
+    """Yield a line per region of the scene with the particles that are in it."""
+    for name, chosen in built.scene.regions.items():
+        counts = {}
+        for body, points in built.particles.points.items():
+            try:
+                counts[body] = int(points.pick(chosen).sum())
+            except UsageError:  # such as a colour, of a body that is not made from an image
+                continue
+        found = [f"{count:,} particle{'s' * (count != 1)} of '{body}'" for body, count in counts.items() if count]
+        yield line("region", f"{name}: {listed(found) if found else 'no particle'}")
+
+
 def _actuators(built: Built) -> Iterator[str]:
-    for actuator in built.model.actuators:
-        chosen: Any = built.scene.actuators[actuator.name.partition(".")[0]]
-        count = len(actuator.particles)
-        yield line("actuator", f"{actuator.name} ({chosen.name}): {count:,} particles of '{chosen.value.body}'")
+    for part in built.assembly.actuation.every:
+        section, _, kind = part.path.split(".")
+        yield line(section[:-1], f"{part.model.name} ({kind}): {on_particles(built, part)}")
 
 
 def _measured(built: Built) -> Iterator[str]:

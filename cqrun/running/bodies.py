@@ -6,11 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from cqrun.build.actuation import Part
+from cqrun.build.check_routes import tied
 from cqrun.build.limits import rounded_away
 from cqrun.build.model import Built
 from cqrun.build.thickness import thinnest_parts
 from cqrun.engine.model import Inputs
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import body_of
 from cqrun.running.reporter import Reporter
 from cqrun.running.tables import number
 from cqrun.store.run import RunDirectory
@@ -26,6 +29,11 @@ def report_bodies(built: Built, run: RunDirectory, talk: Reporter, inputs: Input
         for sentence in (text, f"{name}: {resolved(thinnest[name])}"):
             talk.say(sentence)
             run.log(sentence)
+    for part in built.assembly.actuation.every:
+        if tied(built.particles, part) is not None:
+            sentence = f"{part.model.name}: tied to {on_particles(built, part)}"
+            talk.say(sentence)
+            run.log(sentence)
     if rounding := rounding_of(built):
         talk.say(rounding)
         run.log(rounding)
@@ -37,6 +45,13 @@ def rounding_of(built: Built) -> str:
         return ""
     least = number(rounded_away(built.model.size, built.model.dt))
     return f"float32 loses motion slower than about {least} m/s: less than a position's last bit"
+
+
+def on_particles(built: Built, part: Part) -> str:
+    """Return what an actuator or a force acts on, and how far the points of its route are from there, as text."""
+    count, far = len(part.model.particles), tied(built.particles, part)
+    text = f"{count:,} particle{'s' * (count != 1)} of '{body_of(part.spec)}'"
+    return text if far is None else f"{text}, at most {far} from the points of its route"
 
 
 def made_of(built: Built, name: str, inputs: Inputs | None = None) -> str:

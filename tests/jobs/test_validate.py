@@ -18,6 +18,13 @@ actuators:
 boundaries:"""
 
 
+REGIONS = """\
+regions:
+  front: {box: {corner: [0, 0], size: [0.045, 0.12]}}
+  below: {box: {corner: [0, 0], size: [0.16, 0.05]}}
+boundaries:"""
+
+
 def told(scene, *overrides) -> str:
     return "\n".join(validate(scene, overrides))
 
@@ -49,6 +56,14 @@ def test_it_counts_what_every_part_and_actuator_holds(beam):
     assert "groups: short 25, long 25, root 25\n" in text
     assert "actuator   bend (muscle): 25 particles of 'beam'\n" in text
     assert "actuator   all (muscle): 50 particles of 'beam'\n" in text
+
+
+def test_it_counts_the_particles_of_groups_and_regions(beam):
+    changed(beam, "boundaries:", REGIONS)
+    text = told(beam)
+    assert "groups: root 20\n" in text
+    assert "region     front: 10 particles of 'beam'\n" in text
+    assert "region     below: no particle\n" in text
 
 
 def test_it_tells_what_float32_rounds_away(beam):
