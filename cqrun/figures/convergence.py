@@ -180,7 +180,7 @@ def plot_loss(axes: Axes, loss: LossCurve) -> None:
         if shown:
             _log_axis(axes, min(shown), max(shown))
     if loss.floor is not None:
-        text = f"noise: {error(loss.floor)} {loss.unit}"
+        text = f"noise: {error(loss.floor)} {loss.unit}\n({error(loss.noise)} {loss.unit} in each coordinate)"
         axes.axhline(loss.floor, color=TRUTH, linestyle="--", linewidth=1.0, label=text)
         axes.legend(loc="upper right")
     if axes.get_yscale() == "linear":  # no power of ten above the axis, because the title is there

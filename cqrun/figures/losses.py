@@ -31,7 +31,9 @@ class LossCurve:
         label: name of the quantity, such as RMSE.
         iteration, seconds: iteration and time of each row (K,).
         value: value of each row (K,), in `unit`; the root of the loss if the run is fitted to data.
-        floor: RMSE caused by the noise of synthetic data alone, in `unit`; None if it is not known.
+        floor: RMSE caused by the noise of synthetic data alone, in `unit`; None if it is not known. It counts distances
+            of markers.
+        noise: the noise in each coordinate, as the scene gives it, in `unit`.
         unit: unit of the RMSE, or empty if the objective has its own unit.
         log: whether it is drawn on a logarithmic axis.
         best_row: the row with the best parameters, which the run has kept, if it is not the last row.
@@ -45,6 +47,7 @@ class LossCurve:
     unit: str = "mm"
     log: bool = True
     best_row: int | None = None
+    noise: float = 0.0
 
     @property
     def title(self) -> str:
@@ -61,12 +64,13 @@ def loss_curve(run: RunData) -> LossCurve:
         known = loss[np.isfinite(loss)]
         falls = bool(known.size) and float(known.min()) > 0 and float(known.max() / known.min()) >= SPAN
         return LossCurve("loss", iteration, seconds, loss, unit="", log=falls, best_row=_best_row(run))
-    measured, floor = run.scene.measured, None
+    measured, floor, noise = run.scene.measured, None, 0.0
     label, shown = ("RMSE", measured.shown) if measured is not None else ("relative RMSE", Unit("", 1.0))
     if data.synthetic is not None and data.synthetic.noise > 0:
-        floor = shown.factor * data.synthetic.noise * float(np.sqrt(run.scene.dim))
+        noise = shown.factor * data.synthetic.noise
+        floor = noise * float(np.sqrt(run.scene.dim))
     rmse = shown.factor * np.sqrt(np.maximum(loss, 0.0))
-    return LossCurve(label, iteration, seconds, rmse, floor, shown.name, best_row=_best_row(run))
+    return LossCurve(label, iteration, seconds, rmse, floor, shown.name, best_row=_best_row(run), noise=noise)
 
 
 def term_names(run: RunData) -> list[str]:

@@ -326,6 +326,10 @@ def _errors(scene: Scene, result: SysidResult) -> Iterator[str]:
         tables.setdefault(measured.name, []).append((*row, ", ".join(cells) if len(cells) <= 12 else ""))
     for kind, rows in tables.items():
         yield from table(heads[kind], rows)
+    made = scene.synthetic
+    if made is not None and made.noise > 0:
+        sigma, alone = (format(1e3 * noise, ".3g") for noise in (made.noise, made.noise * scene.dim**0.5))
+        yield f"RMSEs are of distances: the noise of {sigma} mm in each coordinate alone gives {alone} mm"
     yield from _of_poses(result)
     for name, error in result.recordings.items():
         if away := [e for e in error.numbers("alignment_mm").values() if e is not None]:

@@ -7,9 +7,10 @@ import json
 import numpy as np
 import pytest
 from made_runs import YOUNG, history, made_twin, plane_scene, write_history, write_result, write_run
+from matplotlib.figure import Figure
 
 from cqrun.errors import UsageError
-from cqrun.figures.convergence import draw_convergence, layout, unknown_curves, view
+from cqrun.figures.convergence import draw_convergence, layout, plot_loss, unknown_curves, view
 from cqrun.figures.losses import loss_curve
 from cqrun.figures.run_data import read_run
 from cqrun.figures.style import styled
@@ -38,6 +39,16 @@ def test_the_loss_is_shown_as_rmse_in_millimetres(twin):
     np.testing.assert_allclose(curve.value, 1e3 * np.sqrt(4e-6 * 0.25 ** np.arange(6.0) + 1e-8))
     np.testing.assert_array_equal(curve.seconds, [3, 5, 7, 9, 11, 13])
     assert curve.floor == pytest.approx(0.2 * np.sqrt(2))  # noise 0.2 mm in each of two coordinates
+    assert curve.noise == pytest.approx(0.2)
+
+
+def test_the_noise_is_shown_in_the_sense_of_the_scene_as_well(twin):
+    """An RMSE of distances is larger than the noise in each coordinate, which the scene gives."""
+    with styled():
+        axes = Figure().add_subplot()
+        plot_loss(axes, loss_curve(twin))
+    (text,) = axes.get_legend().get_texts()
+    assert text.get_text() == "noise: 0.283 mm\n(0.200 mm in each coordinate)"
 
 
 def test_a_fit_to_an_objective_shows_its_loss(tmp_path):
