@@ -39,7 +39,10 @@ def render(
     trail: Annotated[
         str | None,
         typer.Option(
-            "--trail", metavar="BODY|GROUP", help="Body or group whose centroid leaves a trail; 'none' for no trail."
+            "--trail",
+            metavar="BODY|GROUP",
+            help="Body or group whose centroid leaves a trail; 'none' for no trail. If not given: the groups that have "
+            "a goal, or else each body.",
         ),
     ] = None,
     output: Annotated[
@@ -54,32 +57,38 @@ def render(
     The run need not be finished. Scenes in 3D need the extra 'viz3d'.
     """
     options = {"gif": gif, "mp4": mp4, "png": png, "stills": stills is not None, "onion": onion is not None}
-    kind = _kind([name for name, given in options.items() if given], output)
+    kinds = _kinds([name for name, given in options.items() if given], output)
     from cqrun.cli.progress import working
 
     with working(quiet, allow_plugins, f"reading {run}") as reporter:
         from cqrun.figures.render import RenderOptions
         from cqrun.figures.render import render as draw
 
-        wanted = RenderOptions(kind, stills or onion or 1, color, fps, every, view, trail, output)
-        paths = draw(run, wanted, reporter)
-    for path in paths:
-        echo(path)
+        if "mp4" in kinds:  # before anything else is drawn
+            from cqrun.figures.movie import ffmpeg
+
+            ffmpeg()
+        for kind in kinds:
+            count = (stills if kind == "stills" else onion) or 1
+            wanted = RenderOptions(kind, count, color, fps, every, view, trail, output)
+            for path in draw(run, wanted, reporter):
+                echo(path)
 
 
-def _kind(options: list[str], output: Path | None) -> Literal["gif", "mp4", "png", "stills", "onion"]:
-    """Return what to draw, from the option or from the suffix of the file.
+def _kinds(options: list[str], output: Path | None) -> list[Literal["gif", "mp4", "png", "stills", "onion"]]:
+    """Return what to draw, from the options or from the suffix of the file.
 
     Raises:
-        UsageError: there are several options, or the suffix does not fit.
+        UsageError: there are several options for one file, or its suffix does not fit.
     """
-    if len(options) > 1:
-        raise UsageError(
-            f"--{options[0]} and --{options[1]}: give one of --gif, --mp4, --png, --stills N and --onion N"
-        )
+    if len(options) > 1 and output is not None:
+        several = " and ".join(f"--{option}" for option in options)
+        raise UsageError(f"-o {output}: one file cannot be {several}: leave out -o, or give one of them")
     by_suffix = {".gif": "gif", ".mp4": "mp4", ".png": "png"}
     suffix = output.suffix.lower() if output is not None else ""
-    kind = options[0] if options else by_suffix.get(suffix, "gif")
-    if output is not None and suffix != SUFFIXES[kind]:
-        raise UsageError(f"-o {output}: must end in {SUFFIXES[kind]}, as --{kind} makes it; or in .gif, .mp4 or .png")
-    return kind  # type: ignore[return-value]  # a literal: one of the keys of SUFFIXES
+    kinds = options or [by_suffix.get(suffix, "gif")]
+    if output is not None and suffix != SUFFIXES[kinds[0]]:
+        raise UsageError(
+            f"-o {output}: must end in {SUFFIXES[kinds[0]]}, as --{kinds[0]} makes it; or in .gif, .mp4 or .png"
+        )
+    return kinds  # type: ignore[return-value]  # literals: keys of SUFFIXES

@@ -22,8 +22,11 @@ from cqrun.figures.scenery import goals, window_with_goals
 from cqrun.figures.solid import require_pyvista
 from cqrun.figures.style import styled
 from cqrun.figures.views import PLANE, View, view
+from cqrun.objectives.reach import Reach
+from cqrun.objectives.track import Tracking
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter, Silent
+from cqrun.scene.schema import Scene
 from cqrun.store.atomic import make_directory
 from cqrun.store.folder import FIGURES, make_below
 from cqrun.store.frames import Frames
@@ -53,7 +56,8 @@ class RenderOptions:
         fps: pictures per second of a movie.
         every: use only every n-th frame of the trajectory.
         view: one of `choices.Look`, for 3D; iso if None.
-        trail: body, group or body.group whose path is drawn; all bodies if None; no path if `none`.
+        trail: body, group or body.group whose path is drawn; if None, the groups that should reach or follow something,
+            and all bodies without such a group; no path if `none`.
         output: file to write; a file in `figures/` of the run if None.
     """
 
@@ -169,6 +173,16 @@ def _extent(frames: Frames, shown: Sequence[int], look: View, trails: Trails) ->
     return np.concatenate(ends)
 
 
+def aimed_groups(scene: Scene) -> list[tuple[str, str]]:
+    """Return body and group of every term of the objective or constraint that a group reach or follow something."""
+    terms = [chosen.value for chosen in scene.objective.values()]
+    terms += [constraint.of.value for constraint in scene.constraints.values()]
+    aimed = [
+        (term.body, term.group) for term in terms if isinstance(term, (Reach, Tracking)) and term.group is not None
+    ]
+    return list(dict.fromkeys(aimed))
+
+
 def followed_particles(run: RunData, frames: Frames, trail: str | None) -> dict[str, Array]:
     """Return the particles whose centroid leaves a trail, by name.
 
@@ -176,13 +190,17 @@ def followed_particles(run: RunData, frames: Frames, trail: str | None) -> dict[
         UsageError: no body or group has this name.
     """
     bodies = {name: np.arange(part.start, part.stop) for name, part in frames.bodies.items()}
-    if trail is None:
-        return bodies
     if trail == NO_TRAIL:
         return {}
     if trail in bodies:
         return {trail: bodies[trail]}
+    aimed = aimed_groups(run.scene)
+    if trail is None and not aimed:
+        return bodies
     particles = sampled(run, frames)
+    if trail is None:
+        inner = {name: {f"{name}.{g}": particles.groups(name)[g] for b, g in aimed if b == name} for name in bodies}
+        return {path: members for name in bodies for path, members in (inner[name] or {name: bodies[name]}).items()}
     groups = {f"{body}.{name}": indices for body in particles.names for name, indices in particles.groups(body).items()}
     matching = [name for name in groups if trail in (name, name.partition(".")[2])]
     if len(matching) == 1 and len(groups[matching[0]]):

@@ -14,7 +14,7 @@ import pytest
 from small_beam import BEAM
 
 from cqrun.build.particles import sample
-from cqrun.cli.render import _kind
+from cqrun.cli.render import _kinds
 from cqrun.errors import UsageError
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.store.atomic import write_json, write_text
@@ -47,20 +47,24 @@ def beam_run(tmp_path: Path) -> Path:
     ],
 )
 def test_the_option_or_the_suffix_selects_what_is_drawn(asked, output, kind):
-    assert _kind(asked, Path(output) if output else None) == kind
+    assert _kinds(asked, Path(output) if output else None) == [kind]
+
+
+def test_several_options_draw_several_files():
+    assert _kinds(["gif", "mp4", "onion"], None) == ["gif", "mp4", "onion"]
 
 
 @pytest.mark.parametrize(
     ("asked", "output", "message"),
     [
-        (["gif", "onion"], None, r"--gif and --onion: give one of --gif, --mp4, --png, --stills N and --onion N"),
+        (["gif", "mp4"], "a.gif", r"-o a\.gif: one file cannot be --gif and --mp4: leave out -o, or give one of them"),
         (["mp4"], "a.gif", r"-o a\.gif: must end in \.mp4, as --mp4 makes it"),
         ([], "a.avi", r"-o a\.avi: must end in \.gif, .*or in \.gif, \.mp4 or \.png"),
     ],
 )
 def test_contradictory_options_are_refused(asked, output, message):
     with pytest.raises(UsageError, match=message):
-        _kind(asked, Path(output) if output else None)
+        _kinds(asked, Path(output) if output else None)
 
 
 def test_the_command_prints_the_files(cqrun, beam_run):
@@ -69,6 +73,29 @@ def test_the_command_prints_the_files(cqrun, beam_run):
     paths = [beam_run / "figures" / f"still_velocity_{k}.png" for k in (1, 2)]
     assert out.splitlines() == [str(path) for path in paths]
     assert all(path.is_file() for path in paths)
+
+
+def test_two_options_write_two_files(cqrun, beam_run):
+    code, out, err = cqrun("render", beam_run, "--png", "--stills", 2, "--onion", 3, "--color", "velocity", "-q")
+    assert (code, err) == (0, "")
+    names = ["last_velocity.png", "still_velocity_1.png", "still_velocity_2.png", "onion_velocity.png"]
+    assert out.splitlines() == [str(beam_run / "figures" / name) for name in names]
+    assert all((beam_run / "figures" / name).is_file() for name in names)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("imageio_ffmpeg") is None, reason="the extra video is not installed")
+def test_a_gif_and_an_mp4_at_once(cqrun, beam_run):
+    code, out, _ = cqrun("render", beam_run, "--gif", "--mp4", "--color", "velocity", "-q")
+    assert code == 0
+    assert [Path(line).name for line in out.splitlines()] == ["motion_velocity.gif", "motion_velocity.mp4"]
+
+
+def test_nothing_is_drawn_if_a_missing_extra_is_needed_for_one_of_several_files(cqrun, beam_run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    code, _, err = cqrun("render", beam_run, "--gif", "--mp4")
+    assert code == 2
+    assert "--mp4 needs imageio-ffmpeg" in err
+    assert not (beam_run / "figures").exists()
 
 
 def test_a_warning_gives_the_actual_rate_of_a_gif(cqrun, beam_run, tmp_path):

@@ -166,6 +166,29 @@ def test_bodies_and_groups_can_leave_a_trail(plane):
             followed_particles(run, frames, "a.lift")
 
 
+def test_the_group_that_should_reach_a_goal_leaves_the_trail(tmp_path):
+    """A goal is for the tip; the centroid of the whole body goes elsewhere."""
+    there = {"reach": {"body": "a", "group": "right", "goal": "target"}}
+    goals = {"target": {"position": [0.19, 0.09]}}
+    still = {"of": {"reach": {"body": "a", "group": "left", "position": [0.03, 0.06]}}, "at_most": 1e-4}
+    own = {"goals": goals, "data": None}
+    for more, wanted in (
+        ({"objective": {"there": there}}, ["a.right", "b"]),
+        ({"objective": {"there": there, "again": there}}, ["a.right", "b"]),
+        ({"objective": {"there": there}, "constraints": {"still": still}}, ["a.right", "a.left", "b"]),
+        ({"objective": {"there": {"reach": {"body": "a", "goal": "target"}}}}, ["a", "b"]),
+    ):
+        run = read_run(moving(tmp_path / str(len(list(tmp_path.iterdir()))), plane_scene({}, **own, **more)))
+        groups = sample(run.scene).groups("a")
+        with Frames(run.path / TRAJECTORY) as frames:
+            followed = followed_particles(run, frames, None)
+            assert list(followed) == wanted
+            if "a.right" in followed:
+                np.testing.assert_array_equal(followed["a.right"], groups["right"])
+            assert list(followed_particles(run, frames, "a")) == ["a"]
+            assert followed_particles(run, frames, "none") == {}
+
+
 # --- colours ------------------------------------------------------------------------------------------------
 
 
