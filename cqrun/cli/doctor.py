@@ -24,6 +24,7 @@ REQUIREMENT = re.compile(r"""^([A-Za-z0-9_.-]+)[^;]*(?:;.*extra\s*==\s*['"]([^'"
 def doctor(out: Out = DEFAULT_OUT) -> None:
     """Print versions, cores, threads and directories, and run a test kernel; exit 1 if something fails."""
     from cqrun.running.selfcheck import check_kernel
+    from cqrun.running.threads import cores
 
     failures = 0
     for name, value in _machine():
@@ -35,7 +36,7 @@ def doctor(out: Out = DEFAULT_OUT) -> None:
         problem = _write_problem(folder)
         failures += bool(problem)
         _print(name, f"{folder}: {problem or 'writable'}")
-    threads = _cores()
+    threads = cores(None)
     kernel = check_kernel(threads)
     failures += not kernel.right
     _print("threads", f"{threads}, synchronised by the engine's barrier")

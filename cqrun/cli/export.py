@@ -9,14 +9,14 @@ import typer
 
 from cqrun.cli.options import AllowPlugins, Quiet, Run
 from cqrun.cli.terminal import echo
-from cqrun.errors import UsageError
 
 
 def export(
     run: Run,
     design: Annotated[
-        bool, typer.Option("--design", help="The designed body: a table of its particles, VTK and its surface.")
-    ] = False,
+        bool,
+        typer.Option("--design", help="The designed body: a table of its particles, VTK, its surface (the default)."),
+    ] = True,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to; the run's design/ if not given.")
     ] = None,
@@ -27,8 +27,6 @@ def export(
 
     For an unfinished run this is the best design so far.
     """
-    if not design:
-        raise UsageError("nothing to export is given: add --design")
     from cqrun.cli.progress import working
 
     with working(quiet, allow_plugins, f"reading {run}") as reporter:

@@ -19,7 +19,13 @@ Overrides = Annotated[
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for run directories.")]
 Fresh = Annotated[bool, typer.Option("--fresh", help="Start over even if this run exists.")]
 Threads = Annotated[
-    int | None, typer.Option("--threads", min=1, metavar="N", help="Largest number of threads; all cores if not given.")
+    int | None,
+    typer.Option(
+        "--threads",
+        min=1,
+        metavar="N",
+        help="Largest number of threads; if not given, NUMBA_NUM_THREADS of the environment, or all cores.",
+    ),
 ]
 AllowPlugins = Annotated[
     bool,

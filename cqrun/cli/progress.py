@@ -27,9 +27,6 @@ PLAIN_EVERY = 5.0
 SILENT_AT_MOST = 8.0
 """Longest time without a line [s]."""
 
-SHOWN_FROM = 2.0
-"""A live line shows the time that work without numbers has taken from here on [s]."""
-
 BRIEF = 1.0
 """A first phase that is shorter is not printed [s]: most commands take a moment to read their input."""
 
@@ -66,7 +63,7 @@ class Progress:
         self._total = total
         self._phase = doing
         self._phase_began = self._last_line = time.monotonic()
-        self._numbers = ""
+        self._numbers = self._left = ""
         self._unprinted = False
         self._last_print = float("-inf")
         self._ended = threading.Event()
@@ -98,7 +95,8 @@ class Progress:
         """Show what happens now, in one line, whatever the name of a file contains."""
         text, self._unsaid = printable(text), False
         self._print_pending()
-        self._phase, self._numbers, self._began, self._phase_began = text, "", None, time.monotonic()
+        self._phase, self._numbers, self._left = text, "", ""
+        self._began, self._phase_began = None, time.monotonic()
         if self._live is None and not self._quiet:
             self._print(text)
 
@@ -115,33 +113,39 @@ class Progress:
         of, left = "", ""
         if self._total is not None:
             of = f"/{self._total}"
-            left = f"  {clock(max(self._total - iteration, 0) * seconds)} left"
+            left = f"{clock(max(self._total - iteration, 0) * seconds)} left"
         best_text = f"best {best:.6g}" if violation is None else f"violation {violation:.3g}"
         self._numbers = (
-            f"iteration {iteration}{of}  loss {loss:.6g}  {best_text}  step {step:.3g}  {seconds:.3g} s/iteration{left}"
+            f"iteration {iteration}{of}  loss {loss:.6g}  {best_text}  step {step:.3g}  {seconds:.3g} s/iteration"
         )
+        self._left = left
         self._print_if_due()
 
     def advance(self, done: int, total: int, text: str) -> None:
         """Show the progress of the work and an estimate of the remaining time; arguments as in `Reporter`."""
         now = time.monotonic()
         first, began = self._began = self._began or (done, now)
-        left = f"  {clock((total - done) * (now - began) / (done - first))} left" if done > first else ""
-        self._numbers = f"{text}{left}"
+        self._left = f"{clock((total - done) * (now - began) / (done - first))} left" if done > first else ""
+        self._numbers = text
         self._print_if_due()
+
+    @property
+    def _plain(self) -> str:
+        """The last numbers, and the remaining time if it is known."""
+        return "  ".join(part for part in (self._numbers, self._left) if part)
 
     def _print_if_due(self) -> None:
         if self._live is not None or self._quiet:
             return
         self._unprinted = time.monotonic() - self._last_print < self._plain_every
         if not self._unprinted:
-            self._print(self._numbers)
+            self._print(self._plain)
             self._last_print = time.monotonic()
 
     def _print_pending(self) -> None:
         """Print the last numbers if they were not printed because they came too soon after others."""
         if self._unprinted:
-            self._print(self._numbers)
+            self._print(self._plain)
             self._unprinted = False
 
     def warn(self, text: str) -> None:
@@ -159,14 +163,15 @@ class Progress:
             if self._unsaid and now - self._phase_began >= BRIEF:
                 self.phase(self._phase)
             elif self._phase and not self._unsaid and now - self._last_line >= self._silent_at_most:
-                last = f"; last: {self._numbers}" if self._numbers else ""
+                last = f"; last: {self._plain}" if self._numbers else ""
                 self._print(f"still {self._phase}: {clock(now - self._phase_began)} so far{last}")
 
     def _render(self) -> Text:
-        lasts = time.monotonic() - self._phase_began
-        shown = f"[{clock(lasts)}]" if lasts >= SHOWN_FROM and not self._numbers else ""
+        """Return the live line: the times first, then the numbers, because the end is cut in a narrow window."""
+        lasts = clock(time.monotonic() - self._phase_began)
+        shown = f"[{', '.join(part for part in (lasts, self._left) if part)}]"
         return Text(
-            harmless("  ".join(part for part in (shown, self._phase, self._numbers) if part)),
+            harmless("  ".join(part for part in (shown, self._numbers, self._phase) if part)),
             overflow="ellipsis",
             no_wrap=True,
         )

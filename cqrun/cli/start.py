@@ -25,8 +25,9 @@ adds in the same order, and its threads do not busy-wait after each call, on cor
 OF_NUMBA = {"NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT"}
 """Variables of Numba that count. Others change the code of kernels, which the cache keeps for later processes."""
 
-OF_NO_EFFECT = {"NUMBA_NUM_THREADS"}
-"""Variables that are dropped without a word: cqrun has its own threads."""
+NUMBA_THREADS, MOST_THREADS = "NUMBA_NUM_THREADS", "CQRUN_MOST_THREADS"
+"""Numba has no threads here, but cqrun does: the first variable bounds their number, if `--threads` is not given. Its
+value goes to the second one, which `running/threads.py` reads."""
 
 NUMBA_FILE = ".numba_config.yaml"
 
@@ -100,9 +101,13 @@ def set_environment() -> str:
         for category in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
             warnings.simplefilter("ignore", category)
     names = [name for name in os.environ if name.startswith("NUMBA_") and name not in OF_NUMBA]
+    most = os.environ.get(NUMBA_THREADS, "")
     for name in names:
         del os.environ[name]
-    told = ", ".join(sorted(set(names) - OF_NO_EFFECT))
+    if most.isdecimal() and int(most) >= 1:
+        os.environ[MOST_THREADS] = most
+        names.remove(NUMBA_THREADS)
+    told = ", ".join(sorted(names))
     return f"{told} in the environment: not used, as results would depend on it" if told else ""
 
 

@@ -1,4 +1,4 @@
-"""`cqrun export RUN --design`: write the body that a run has designed, to build it or to simulate it elsewhere.
+"""`cqrun export RUN`: write the body that a run has designed, to build it or to simulate it elsewhere.
 
 design.csv       one row per particle: body, groups, position, volume, mass, density, all numbers of its material, the
                  strength of each actuator there, and the initial velocity if any particle has one
@@ -61,6 +61,12 @@ def export_design(run: Path, out: Path, reporter: Reporter | None = None) -> lis
     return written
 
 
+def _instead(run: Path) -> str:
+    """Return where the motion of a run is, if it has one."""
+    motion = run / "trajectory.h5"
+    return f"; its motion is in {motion}, which ParaView and h5py read" if motion.is_file() else ""
+
+
 def designed(run: Path, reporter: Reporter | None = None) -> tuple[Built, dict[str, Array]]:
     """Return the scene of a run, and the values that it found for the unknowns and their followers.
 
@@ -75,7 +81,7 @@ def designed(run: Path, reporter: Reporter | None = None) -> tuple[Built, dict[s
         raise UsageError(f"{run}: has no design yet ({status}); the command that started it continues it")
     scene = scene_in(run)
     if not scene.unknowns:
-        raise UsageError(f"{run}: its scene has no `unknowns`: nothing was designed")
+        raise UsageError(f"{run}: its scene has no `unknowns`: nothing was designed{_instead(run)}")
     if so_far:
         (reporter or Silent()).phase("the run is not finished: its best design so far is exported")
         return build(scene), learned_in(best)

@@ -11,12 +11,17 @@ from typing import Any
 from cqrun.errors import UsageError
 from cqrun.explain import shown
 
+MOST = "CQRUN_MOST_THREADS"
+"""Variable with the largest number of threads if none is given; the command line sets it from NUMBA_NUM_THREADS."""
+
 
 def cores(threads: int | None) -> int:
-    """Return how many threads to use: the given number, or all cores that this process may run on."""
+    """Return how many threads to use: the given number, or all cores that this process may run on, within MOST."""
     if threads is not None:
         return threads
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    most = os.environ.get(MOST, "")
+    return min(usable, max(1, int(most))) if most.isdecimal() else usable
 
 
 def checked_threads(caller: str, scene: Any, overrides: Any, threads: Any) -> int | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import signal
 import time
 from pathlib import Path
@@ -164,13 +165,30 @@ def test_quiet_and_live_progress_are_not_interrupted_by_lines():
         assert "still" not in stream.getvalue()
 
 
-def test_a_live_line_shows_the_time_of_work_without_numbers(monkeypatch):
-    monkeypatch.setattr("cqrun.cli.progress.SHOWN_FROM", 0.0)
+def test_a_live_line_shows_the_time_of_work_without_numbers_from_the_start():
     stream = Terminal()
     with Progress(stream=stream) as progress:
         progress.phase("compiling kernels")
         time.sleep(0.4)
     assert "[0 s]  compiling kernels" in stream.getvalue()
+
+
+@pytest.mark.parametrize("columns", [60, 200])
+def test_a_live_line_shows_elapsed_and_remaining_time_and_numbers_in_a_narrow_window(monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    stream = Terminal()
+    phase = "simulating 240,000 particles, 1,400 substeps, less than an hour in all on one core"
+    with Progress(stream=stream) as progress:
+        progress.phase(phase)
+        progress.advance(0, 9, "t = 0 of 9 s")
+        time.sleep(0.2)
+        progress.advance(1, 9, "t = 1 of 9 s")
+        time.sleep(0.3)
+    text = stream.getvalue()
+    assert "[0 s, 2 s left]  t = 1 of 9 s  simulating" in text
+    assert (phase in text) == (columns == 200)
+    lines = re.split(r"\x1b\[[0-9;?]*[A-Za-z]|[\r\n]", text)
+    assert max(map(len, lines)) <= columns
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])

@@ -1,4 +1,4 @@
-"""`cqrun render` and `cqrun plot --show`: combinations of options, and error messages."""
+"""`cqrun render`, `cqrun plot --show` and `cqrun export`: combinations of options, and error messages."""
 
 from __future__ import annotations
 
@@ -164,3 +164,28 @@ def test_an_unknown_term_is_refused(cqrun, beam_run):
     code, _, err = cqrun("plot", beam_run, "--show", "far")
     assert code == 2
     assert f"error: {beam_run}: it has no term or constraint 'far'" in err
+
+
+@pytest.mark.parametrize("words", [[], ["--design"]])
+def test_export_without_an_option_exports_the_design(cqrun, beam_run, monkeypatch, words):
+    asked = []
+    monkeypatch.setattr("cqrun.jobs.export.export_design", lambda run, out, _: asked.append((run, out)) or [out])
+    assert cqrun("export", beam_run, *words, "-q") == (0, f"{beam_run / 'design'}\n", "")
+    assert asked == [(beam_run, beam_run / "design")]
+
+
+def test_export_of_a_run_without_a_design_says_where_its_motion_is(cqrun, beam_run):
+    result = {
+        "job": "simulate",
+        "status": "done",
+        "message": "",
+        "time": 0.1,
+        "bodies": {},
+        "fracture": {},
+        "findings": [],
+    }
+    write_json(beam_run / "result.json", result)
+    code, _, err = cqrun("export", beam_run)
+    assert code == 2
+    motion = beam_run / "trajectory.h5"
+    assert f"has no `unknowns`: nothing was designed; its motion is in {motion}, which ParaView and h5py read" in err

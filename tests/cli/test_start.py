@@ -143,6 +143,25 @@ def test_the_users_environment_changes_no_result(tmp_path):
     assert code == 0, err
 
 
+THREADS = (
+    "from cqrun.cli.start import set_environment\nprint(set_environment())\n"
+    "import os\nos.sched_getaffinity = lambda _: range(8)\n"
+    "from cqrun.running.threads import cores\nprint(cores(None), cores(5))"
+)
+
+
+@pytest.mark.parametrize(
+    ("value", "warning", "threads"),
+    [("3", "", 3), ("64", "", 8), ("0", "NUMBA_NUM_THREADS", 8), ("many", "NUMBA_NUM_THREADS", 8)],
+)
+def test_numbas_number_of_threads_is_the_largest_if_none_is_given(tmp_path, value, warning, threads):
+    code, out, err = run(folder=tmp_path, python=("-c", THREADS), NUMBA_NUM_THREADS=value)
+    assert (code, err) == (0, "")
+    told, numbers = out.splitlines()
+    assert told == (f"{warning} in the environment: not used, as results would depend on it" if warning else "")
+    assert numbers == f"{threads} 5"
+
+
 def test_a_file_of_settings_for_numba_is_not_read(tmp_path):
     (tmp_path / NUMBA_FILE).write_text("opt: 0\n")
     code, _, err = run("--version", folder=tmp_path)

@@ -123,7 +123,7 @@ def test_a_run_that_blows_up_says_which_body_and_when(beam, tmp_path):
     """The beam, free to fall, leaves the world."""
     text = beam.read_text()
     beam.write_text(text[: text.index("boundaries:")] + "time: {duration: 0.3, control_step: 0.01}\n")
-    message = r"body 'beam', particle \d+, t = 0.\d+ s: left the grid at .*; enlarge the world"
+    message = r"body 'beam', particle 0 \(group 'root'\), t = 0.\d+ s: left the grid at .*; enlarge the world"
     with pytest.raises(RunError, match=message) as first:
         simulate(beam, tmp_path)
     assert first.value.exit_code == 1
