@@ -50,11 +50,21 @@ class Group:
         label: name that distinguishes them from the other groups.
         curves: the loss of each run.
         seeds: whether all runs have different seeds, so that no run is a repetition of another.
+        names: what distinguishes each run from the others of the group: its seed, or its hash.
     """
 
     label: str
     curves: tuple[LossCurve, ...]
     seeds: bool = True
+    names: tuple[str, ...] = ()
+
+    @property
+    def lines(self) -> list[Group]:
+        """The group itself if it is drawn as a mean, or else a group for each run, so that each has its own colour."""
+        if len(self.curves) == 1 or len(self.curves) >= BAND_FROM or len(self.names) != len(self.curves):
+            return [self]
+        pairs = zip(self.names, self.curves, strict=True)
+        return [Group(f"{self.label}: {name}", (curve,), self.seeds) for name, curve in pairs]
 
     @property
     def log(self) -> bool:
@@ -112,9 +122,15 @@ def groups(runs: Sequence[RunData], term: str | None = None) -> list[Group]:
             name,
             tuple(curves[i] for i in indices),
             len({json.dumps(resolved[i], sort_keys=True) for i in indices}) == len(indices),
+            _members([resolved[i].get("seed") for i in indices], [runs[i].path.resolve().name for i in indices]),
         )
         for name, indices in zip(names, members.values(), strict=True)
     ]
+
+
+def _members(seeds: Sequence[Any], hashes: Sequence[str]) -> tuple[str, ...]:
+    """Return a name for each run of a group: its seed, or its hash if runs have the same seed."""
+    return tuple(hashes) if len(set(seeds)) < len(seeds) else tuple(f"seed {seed}" for seed in seeds)
 
 
 def _require_one_objective(runs: Sequence[RunData], objectives: Sequence[dict[str, Any]]) -> None:
@@ -206,7 +222,7 @@ def band(group: Group, *, over_time: bool) -> Band:
 
 def draw_comparison(runs: Sequence[RunData], term: str | None = None) -> Figure:
     """Return the picture: the loss, or a term of the objective, against iteration and wall time."""
-    all_groups = groups(runs, term)
+    all_groups = [line for group in groups(runs, term) for line in group.lines]
     figure = new_figure(9.0, 3.6)
     by_iteration, by_time = figure.subplots(1, 2, sharey=True)
     curves = [curve for group in all_groups for curve in group.curves]

@@ -199,8 +199,11 @@ def followed_particles(run: RunData, frames: Frames, trail: str | None) -> dict[
         return bodies
     particles = sampled(run, frames)
     if trail is None:
-        inner = {name: {f"{name}.{g}": particles.groups(name)[g] for b, g in aimed if b == name} for name in bodies}
-        return {path: members for name in bodies for path, members in (inner[name] or {name: bodies[name]}).items()}
+        found: dict[str, Array] = {}
+        for name, members in bodies.items():
+            inner = {f"{name}.{g}": particles.groups(name)[g] for b, g in aimed if b == name}
+            found |= inner or {name: members}
+        return found
     groups = {f"{body}.{name}": indices for body in particles.names for name, indices in particles.groups(body).items()}
     matching = [name for name in groups if trail in (name, name.partition(".")[2])]
     if len(matching) == 1 and len(groups[matching[0]]):

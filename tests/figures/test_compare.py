@@ -15,7 +15,7 @@ from cqrun.figures.compare import Group, band, draw_comparison, groups
 from cqrun.figures.convergence import draw_convergence
 from cqrun.figures.losses import LossCurve
 from cqrun.figures.run_data import read_run
-from cqrun.figures.style import styled
+from cqrun.figures.style import COLOURS, styled
 
 
 def make_run(out, digest, *, name="twin", seed=0, rows=5, speed=1.0, **more):
@@ -123,11 +123,16 @@ def test_two_runs_are_lines_and_a_repeated_run_is_not_a_seed(tmp_path):
     far = np.array([0.0, 0.5])
     two = [make_control_run(tmp_path, f"{k}" * 12, seed=k, far=far) for k in range(2)]
     same = [make_control_run(tmp_path, f"{k}a" * 6, seed=0, far=far) for k in range(2)]
-    for runs, label in ((two, "biped: 2 seeds"), (same, "biped: 2 runs")):
+    for runs, labels in (
+        (two, ["biped: seed 0", "biped: seed 1"]),
+        (same, ["biped: 0a0a0a0a0a0a", "biped: 1a1a1a1a1a1a"]),
+    ):
         with styled():
             figure = draw_comparison(runs)
-        assert [text.get_text() for text in figure.legends[0].get_texts()] == [label]
+        assert [text.get_text() for text in figure.legends[0].get_texts()] == labels
         assert [len(axes.lines) for axes in figure.axes] == [2, 2]
+        for axes in figure.axes:
+            assert [line.get_color() for line in axes.lines] == list(COLOURS[:2])
 
 
 def test_terms_that_the_optimizer_does_not_report_are_omitted(tmp_path):
