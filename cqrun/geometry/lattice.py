@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from cqrun.errors import UsageError
+from cqrun.explain import complaint, finding
 from cqrun.geometry.sampling import Sampling
 from cqrun.geometry.shape import MAX_POINTS, Shape, cell_centres, finite_bounds, lattice_points
 from cqrun.plugin.contract import Array
@@ -19,9 +22,23 @@ class Lattice(Sampling):
     With `count` there are count^D cells of equal size over the bounds of the shape, or of each part, and a particle in
     every cell whose centre is in the shape, with the cell's volume. So parts of different sizes have the same number of
     particles, as in the robots of CQ1.
+
+    With `centered` the lattice is symmetric about the middle of the shape's bounds. A tapered or round body whose size
+    is no multiple of the spacing is lopsided otherwise, because the lattice begins at its lower corner.
     """
 
     count: int | None = Field(description="Number of cells along every axis, instead of a spacing", ge=1, default=None)
+    centered: bool = Field(
+        description="Whether the lattice is symmetric about the middle of the shape's bounds", default=False,
+        exclude_if=lambda centered: not centered,  # so that scenes without it keep the names of their runs
+    )  # fmt: skip
+
+    @model_validator(mode="after")
+    def _one_placement(self) -> Self:
+        if self.count is not None and self.centered:
+            message = "has no effect with a count, whose cells fill the bounds evenly: remove one of the two"
+            raise complaint("Lattice", [finding(message, ("centered",), involves=("count",))])
+        return self
 
     @property
     def needs_spacing(self) -> bool:
@@ -34,7 +51,7 @@ class Lattice(Sampling):
     def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:
         if self.count is None:
             assert spacing is not None
-            points = lattice_points(shape, spacing)
+            points = lattice_points(shape, spacing, centered=self.centered)
             return points, np.full(len(points), spacing ** points.shape[1])
         lower, upper = finite_bounds(shape)
         dim = len(lower)

@@ -110,8 +110,13 @@ def counted_volume(shape: Shape, cells: int = _COUNTING_CELLS) -> float:
     return float(shape.inside(cell_centres(lower, size / counts, counts)).mean() * np.prod(size))
 
 
-def lattice_points(shape: Shape, spacing: float) -> Array:
+def lattice_points(shape: Shape, spacing: float, *, centered: bool = False) -> Array:
     """Return the points (N, D) [m] at (k + 1/2) * spacing from the lower corner that lie in the shape.
+
+    Args:
+        shape: what to fill.
+        spacing: distance between points [m].
+        centered: whether the lattice is moved so that it is symmetric about the middle of the bounds.
 
     Raises:
         UsageError: the shape is unbounded, or the lattice is far too fine for it.
@@ -123,7 +128,8 @@ def lattice_points(shape: Shape, spacing: float) -> Array:
             f"a spacing of {spacing:g} m puts {np.prod(counts):.3g} lattice points around the {shape.name}; "
             f"at most {MAX_POINTS:.0e} are allowed: check the units of spacing, dx and the shape"
         )
-    points = cell_centres(lower, np.full(len(lower), spacing), counts.astype(int))
+    corner = 0.5 * (lower + upper - counts * spacing) if centered else lower
+    points = cell_centres(corner, np.full(len(lower), spacing), counts.astype(int))
     return points[shape.inside(points)]
 
 

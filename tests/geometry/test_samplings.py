@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
+from pydantic import ValidationError
+from scipy.spatial import cKDTree
 
 from cqrun.errors import UsageError
 from cqrun.geometry.box import Box
@@ -119,3 +123,45 @@ def test_poisson_disks_fill_a_long_box(box: Box) -> None:
     assert np.ptp(points, axis=0) == pytest.approx([0.4, 0.2], abs=0.02)
     with pytest.raises(UsageError, match=r"about 5.56e\+04 particles around the box .*use `jittered`"):
         make("sampling", "poisson_disk").sample(box, 0.0012)
+
+
+def tapered(path: Path) -> Shape:
+    """Return a cone frustum along x, whose diameter of 39 mm is no multiple of 5 mm, as a mesh."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    ends = [np.column_stack([np.full(64, x), radius * ring]) for x, radius in ((0.0, 0.0195), (0.101, 0.006))]
+    trimesh.Trimesh(np.concatenate(ends)).convex_hull.export(path)
+    return make("shape", "mesh", file=str(path), offset=[0.05, 0.05, 0.05])
+
+
+def mirrored(points: np.ndarray, axis: int) -> bool:
+    """Return whether points mirrored at 0.05 m are the same points."""
+    other = points.copy()
+    other[:, axis] = 0.1 - other[:, axis]
+    return bool(cKDTree(points).query(other)[0].max() < 1e-9)
+
+
+def test_centered_lattice_in_a_tapered_mesh_is_symmetric_about_its_axis(tmp_path: Path) -> None:
+    cone = tapered(tmp_path / "cone.stl")
+    lopsided, _ = make("sampling", "lattice").sample(cone, 0.005)
+    points, volume = make("sampling", "lattice", centered=True).sample(cone, 0.005)
+    for axis in (1, 2):
+        assert not mirrored(lopsided, axis)
+        assert mirrored(points, axis)
+    tip = points[points[:, 0] > 0.13]
+    assert tip[:, 1:].mean(axis=0) == pytest.approx([0.05, 0.05], abs=1e-9)
+    assert np.abs(lopsided[lopsided[:, 0] > 0.13][:, 1:].mean(axis=0) - 0.05).max() > 0.0004
+    assert volume.sum() == pytest.approx(cone.volume(), rel=0.05)
+    low, high = points.min(axis=0), points.max(axis=0)
+    assert low[0] - 0.05 == pytest.approx(0.151 - high[0])  # along x, too
+
+
+def test_centered_lattice_of_a_whole_number_of_cells_is_the_same(box: Box) -> None:
+    plain, _ = make("sampling", "lattice").sample(box, 0.1)
+    assert make("sampling", "lattice", centered=True).sample(box, 0.1)[0] == pytest.approx(plain, abs=1e-12)
+
+
+def test_centered_has_no_effect_with_a_count() -> None:
+    with pytest.raises(ValidationError, match="has no effect with a count, whose cells fill the bounds evenly"):
+        make("sampling", "lattice", count=3, centered=True)
+    assert "centered" not in make("sampling", "lattice").model_dump()  # so that runs keep their names
