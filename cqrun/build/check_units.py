@@ -69,7 +69,7 @@ def _other_unit(scene: Scene, shape: Shape, size: Array, units: dict[str, float]
 
 def unit_questions(scene: Scene) -> Iterator[Problem]:
     """Yield warnings on quantities that are probably given in another unit."""
-    if _in_si(scene) and max(scene.world.size) > LARGE_WORLD:
+    if in_si(scene) and max(scene.world.size) > LARGE_WORLD:
         message = f"the world is {_product(scene.world.size)} m; are its lengths in millimetres? give them in metres"
         yield Problem(scene.where("world.size"), "world.size", message)
     for name, body in scene.bodies.items():
@@ -80,7 +80,7 @@ def unit_questions(scene: Scene) -> Iterator[Problem]:
             if other.density is not None:
                 densities[f"bodies.{name}.material_of.{region}.density"] = other.density
         for path, density in densities.items():
-            if _in_si(scene) and not LIGHT <= density <= HEAVY:
+            if in_si(scene) and not LIGHT <= density <= HEAVY:
                 yield Problem(scene.where(path), path, _density_question(density))
         yield from _squashed(scene, name)
 
@@ -109,7 +109,7 @@ def _squashed(scene: Scene, name: str) -> Iterator[Problem]:
         yield Problem(scene.where(path), path, message)
 
 
-def _in_si(scene: Scene) -> bool:
+def in_si(scene: Scene) -> bool:
     """Return whether a scene uses SI units, as far as its gravity or else its stiffness shows."""
     gravity = float(np.linalg.norm(scene.world.gravity))
     if gravity > 0:

@@ -7,6 +7,7 @@ from math import prod
 from pathlib import Path
 
 from cqrun.build.check_grid import nearest_nodes
+from cqrun.build.check_units import in_si
 from cqrun.build.load_path import points_of
 from cqrun.build.measures import bound_measures
 from cqrun.build.model import Built
@@ -100,6 +101,8 @@ def _world(built: Built) -> Iterator[str]:
     size = " x ".join(number(edge) for edge in world.size)
     nodes = " x ".join(map(str, shape))
     yield line("world", f"{size} m in cells of {number(world.dx)} m: {nodes} = {prod(shape):,} nodes")
+    if not in_si(built.scene):
+        yield line("units", "gravity or stiffness is unlike that in SI units, but labels name SI units even so")
     held = ", ".join(f"{c.name} ({c.spec.name}, {_held(built, c)})" for c in built.model.conditions)
     yield line("boundaries", held or "none: a body that reaches the edge of the world stops the run")
     for name, center in built.model.centers.items():

@@ -66,6 +66,14 @@ def test_it_counts_the_particles_of_groups_and_regions(beam):
     assert "region     below: no particle\n" in text
 
 
+def test_it_says_if_the_units_are_probably_not_those_of_its_labels(beam):
+    sentence = "  units      gravity or stiffness is unlike that in SI units, but labels name SI units even so"
+    modulus = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus=40"
+    assert sentence not in told(beam)
+    assert sentence in told(beam, "world.gravity=[0, -981]").splitlines()
+    assert sentence in told(beam, "world.gravity=[0, 0]", modulus).splitlines()
+
+
 def test_it_tells_what_float32_rounds_away(beam):
     assert "loses motion" not in told(beam)
     slow = np.finfo(np.float32).eps * 0.16 / (0.01 / 24)
