@@ -192,7 +192,7 @@ def followed_particles(run: RunData, frames: Frames, trail: str | None) -> dict[
     bodies = {name: np.arange(part.start, part.stop) for name, part in frames.bodies.items()}
     if trail == NO_TRAIL:
         return {}
-    if trail in bodies:
+    if trail is not None and trail in bodies:
         return {trail: bodies[trail]}
     aimed = aimed_groups(run.scene)
     if trail is None and not aimed:
