@@ -274,7 +274,7 @@ def test_without_an_optimizer_the_data_choose_one(fit, tmp_path):
 
 def test_a_truth_that_blows_up_fails_the_run(fit, tmp_path):
     changed(fit, "viscosity.shear: 6\n", "viscosity.shear: 6\n      world.gravity.1: -1.0e5\n")
-    with pytest.raises(RunError, match=r"data.synthetic.truth: body 'beam', particle \d+, t = "):
+    with pytest.raises(RunError, match=r"data.synthetic.truth: body 'beam', particle 11 \(group 'root'\), t = "):
         identify(fit, tmp_path)
     (run,) = (tmp_path / "fit").iterdir()
     assert read_record(run)["status"] == "failed"
