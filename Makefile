@@ -62,7 +62,7 @@ profile: $(READY) ## measure the time of each pass in a scene: make profile SCEN
 	$(BIN)/cqrun bench $(SCENE)
 
 demo: $(READY) ## identify the material of a soft beam from its motion, in under five minutes
-	$(BIN)/cqrun sysid $(DEMO) --fresh
+	$(BIN)/cqrun sysid $(DEMO) --fresh --out results
 	@echo; echo "The result: $$(ls -td results/$(basename $(notdir $(DEMO)))/*/ | head -n 1)"
 
 reproduce-figures: $(READY) ## rebuild both papers' figures, with verdicts -> results/figures/index.html; SIZE=paper takes days, MINUTES=n stops after n

@@ -6,13 +6,13 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Seeds, Threads
+from cqrun.cli.options import AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Seeds, Threads, results_in
 
 
 def codesign(
     scene: Scene,
     overrides: Overrides = None,
-    out: Out = DEFAULT_OUT,
+    out: Out = None,
     fresh: Fresh = False,
     threads: Threads = None,
     seeds: Seeds = None,
@@ -47,6 +47,7 @@ def codesign(
     if not ablate:
         require_seeds_for_jobs(seeds, jobs)
     with infeasible_shown(quiet, allow_plugins):
+        out = results_in(out, scene)
         with working(quiet, allow_plugins, f"reading {scene}") as reporter:
             from cqrun.jobs.control import CODESIGN, run_codesign
             from cqrun.jobs.studies.ablation import run_ablation

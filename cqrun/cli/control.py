@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Seeds, Threads
+from cqrun.cli.options import AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Seeds, Threads, results_in
 
 
 def control(
     scene: Scene,
     overrides: Overrides = None,
-    out: Out = DEFAULT_OUT,
+    out: Out = None,
     fresh: Fresh = False,
     threads: Threads = None,
     seeds: Seeds = None,
@@ -25,6 +25,7 @@ def control(
 
     require_seeds_for_jobs(seeds, jobs)
     with infeasible_shown(quiet, allow_plugins):
+        out = results_in(out, scene)
         with working(quiet, allow_plugins, f"reading {scene}") as reporter:
             from cqrun.jobs.control import run_control
             from cqrun.jobs.studies.seeds import run_seeds

@@ -21,7 +21,7 @@ from cqrun.version import __version__
 REQUIREMENT = re.compile(r"""^([A-Za-z0-9_.-]+)[^;]*(?:;.*extra\s*==\s*['"]([^'"]+)['"])?""")
 
 
-def doctor(out: Out = DEFAULT_OUT) -> None:
+def doctor(out: Out = None) -> None:
     """Print versions, cores, threads and directories, and run a test kernel; exit 1 if something fails."""
     from cqrun.running.selfcheck import check_kernel
     from cqrun.running.threads import cores
@@ -32,7 +32,7 @@ def doctor(out: Out = DEFAULT_OUT) -> None:
     for name, value in _packages():
         _print(name, value)
     cache = os.environ.get("NUMBA_CACHE_DIR", "")
-    for name, folder in (("kernel cache", Path(cache)), ("results", out)):
+    for name, folder in (("kernel cache", Path(cache)), ("results", out or DEFAULT_OUT)):
         problem = _write_problem(folder)
         failures += bool(problem)
         _print(name, f"{folder}: {problem or 'writable'}")

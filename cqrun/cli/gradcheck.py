@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Scene, Threads
+from cqrun.cli.options import AllowPlugins, Fresh, Out, Overrides, Quiet, Scene, Threads, results_in
 
 
 def gradcheck(
     scene: Scene,
     overrides: Overrides = None,
-    out: Out = DEFAULT_OUT,
+    out: Out = None,
     fresh: Fresh = False,
     threads: Threads = None,
     allow_plugins: AllowPlugins = False,
@@ -20,6 +20,7 @@ def gradcheck(
     from cqrun.cli.progress import working
     from cqrun.cli.results import draw_and_print_run
 
+    out = results_in(out, scene)
     with working(quiet, allow_plugins, f"reading {scene}") as reporter:
         from cqrun.jobs.gradcheck import run_gradcheck
 

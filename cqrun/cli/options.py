@@ -16,7 +16,10 @@ Overrides = Annotated[
     list[str] | None,
     typer.Option("-o", "--override", metavar="KEY=VALUE", help="Replace a value of the scene (repeatable)."),
 ]
-Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for run directories.")]
+Out = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Folder for run directories; `results` beside the scene if not given."),
+]
 Fresh = Annotated[bool, typer.Option("--fresh", help="Start over even if this run exists.")]
 Threads = Annotated[
     int | None,
@@ -51,6 +54,18 @@ Resolution = Annotated[
 Jobs = Annotated[
     int | None, typer.Option("--jobs", metavar="N", help="Number of runs at once; the number of threads if not given.")
 ]
+
+
+def results_in(out: Path | None, source: Path) -> Path:
+    """Return the folder for runs: the one that is given, or `results` beside the scene, wherever the command is typed.
+
+    Args:
+        out: the folder that is given.
+        source: the scene's file, or a run to replay, whose results go where it is.
+    """
+    if out is not None:
+        return out
+    return source.resolve().parent.parent if source.is_dir() else source.parent / DEFAULT_OUT
 
 
 def with_grids(words: Sequence[str]) -> Iterator[str]:

@@ -7,18 +7,18 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins
+from cqrun.cli.options import AllowPlugins, results_in
 from cqrun.cli.terminal import echo
 
-FIGURES = DEFAULT_OUT / "figures"
 KINDS = ("png", "pdf")
 
 
 def plot(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run directories; several are compared.")],
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for a comparison; pictures of one run go into the run.")
-    ] = FIGURES,
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder for a comparison; pictures of one run go into the run."),
+    ] = None,
     show: Annotated[
         str | None,
         typer.Option(
@@ -46,8 +46,8 @@ def plot(
         if len(runs) == 1 and show is None:
             paths = draw_run(runs[0], KINDS)
         else:
-            if out == FIGURES:
-                out = make_below(runs[0] if len(runs) == 1 else DEFAULT_OUT, FIGURES.name)
+            if out is None:
+                out = make_below(runs[0] if len(runs) == 1 else results_in(None, runs[0]), "figures")
             paths = draw_several(runs, out, KINDS, show)
     for path in paths:
         echo(path)

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Threads
+from cqrun.cli.options import AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Threads, results_in
 
 
 def rest(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (YAML).", show_default=False)],
     overrides: Overrides = None,
-    out: Out = DEFAULT_OUT,
+    out: Out = None,
     fresh: Fresh = False,
     threads: Threads = None,
     resolution: Resolution = None,
@@ -27,13 +27,21 @@ def rest(
     from cqrun.cli.progress import working
     from cqrun.cli.results import draw_and_print_resolution, draw_and_print_run
 
+    out = results_in(out, scene)
     with working(quiet, allow_plugins, f"reading {scene}") as reporter:
         from cqrun.jobs.rest import REST
         from cqrun.jobs.studies.resolution import run_resolution
 
         if resolution is not None:
             study, succeeded = run_resolution(
-                scene, overrides or [], out, job=REST, grids=resolution, fresh=fresh, threads=threads, reporter=reporter
+                scene,
+                overrides or [],
+                out,
+                job=REST,
+                grids=resolution,
+                fresh=fresh,
+                threads=threads,
+                reporter=reporter,
             )
         else:
             run = REST.run(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Threads
+from cqrun.cli.options import AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Threads, results_in
 
 
 def simulate(
@@ -16,7 +16,7 @@ def simulate(
         typer.Argument(metavar="SCENE|RUN", help="Scene file (YAML), or a run to replay.", show_default=False),
     ],
     overrides: Overrides = None,
-    out: Out = DEFAULT_OUT,
+    out: Out = None,
     fresh: Fresh = False,
     threads: Threads = None,
     controller: Annotated[
@@ -38,6 +38,7 @@ def simulate(
     if resolution is not None and controller is not None:
         raise UsageError("--resolution: runs a scene with its own controller, not one from a file: remove --controller")
 
+    out = results_in(out, scene)
     with working(quiet, allow_plugins, f"reading {scene}") as reporter:
         from cqrun.jobs.simulate import SIMULATE, run_simulate
         from cqrun.jobs.studies.resolution import run_resolution
@@ -49,7 +50,13 @@ def simulate(
             )  # fmt: skip
         else:
             run = run_simulate(
-                scene, overrides or [], out, fresh=fresh, threads=threads, controller=controller, reporter=reporter
+                scene,
+                overrides or [],
+                out,
+                fresh=fresh,
+                threads=threads,
+                controller=controller,
+                reporter=reporter,
             )
     if resolution is not None:
         draw_and_print_resolution(study, succeeded, quiet, allow_plugins)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Threads
+from cqrun.cli.options import AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Threads, results_in
 
 Axes = Annotated[
     list[str] | None,
@@ -57,7 +57,7 @@ def sweep(
     on: On = "processes",
     show: Show = None,
     overrides: Overrides = None,
-    out: Out = DEFAULT_OUT,
+    out: Out = None,
     fresh: Fresh = False,
     threads: Threads = None,
     allow_plugins: AllowPlugins = False,
@@ -70,6 +70,7 @@ def sweep(
     from cqrun.cli.progress import working
     from cqrun.cli.results import draw_and_print_sweep
 
+    out = results_in(out, scene)
     with working(quiet, allow_plugins, f"reading {scene}") as reporter:
         from cqrun.jobs.studies.sweep import SweepOptions, run_sweep
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Scene, Threads
+from cqrun.cli.options import AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Scene, Threads, results_in
 
 
 def sysid(
     scene: Scene,
     overrides: Overrides = None,
-    out: Out = DEFAULT_OUT,
+    out: Out = None,
     fresh: Fresh = False,
     threads: Threads = None,
     resolution: Resolution = None,
@@ -24,6 +24,7 @@ def sysid(
     from cqrun.cli.progress import working
     from cqrun.cli.results import draw_and_print_resolution, draw_and_print_run
 
+    out = results_in(out, scene)
     with working(quiet, allow_plugins, f"reading {scene}") as reporter:
         from cqrun.jobs.studies.resolution import run_resolution
         from cqrun.jobs.sysid import SYSID

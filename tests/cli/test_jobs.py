@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from small_beam import BEAM, E_PATH, FIT
 
@@ -41,6 +43,25 @@ def test_simulate_prints_the_positions_of_the_bodies(cqrun, scene):
 
 
 @pytest.mark.usefixtures("pictures")
+def test_a_run_is_found_again_from_any_folder(cqrun, scene, tmp_path, monkeypatch):
+    short = ("-o", "time.duration=0.02", "-q")
+    code, first, err = cqrun("simulate", scene, *short)
+    assert code == 0, err
+    (run,) = (tmp_path / "results" / "fit").iterdir()
+    written = (run / "result.json").stat().st_mtime_ns
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    code, again, err = cqrun("simulate", "../fit.yaml", *short)
+    assert code == 0, err
+    assert again.splitlines()[-1] == f"run: {Path('../results/fit') / run.name}"
+    assert (run / "result.json").stat().st_mtime_ns == written
+    assert list(elsewhere.iterdir()) == []
+    code, _, err = cqrun("simulate", "../fit.yaml", *short, "--out", "here")
+    assert code == 0, err
+    assert (elsewhere / "here" / "fit" / run.name / "result.json").is_file()
+
+
 def test_an_error_while_drawing_does_not_make_the_run_fail(cqrun, scene, monkeypatch):
     def broken(run):
         raise ValueError("no such axis")
