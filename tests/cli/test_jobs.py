@@ -45,7 +45,7 @@ def test_simulate_prints_the_positions_of_the_bodies(cqrun, scene):
 @pytest.mark.usefixtures("pictures")
 def test_a_run_is_found_again_from_any_folder(cqrun, scene, tmp_path, monkeypatch):
     short = ("-o", "time.duration=0.02", "-q")
-    code, first, err = cqrun("simulate", scene, *short)
+    code, _, err = cqrun("simulate", scene, *short)
     assert code == 0, err
     (run,) = (tmp_path / "results" / "fit").iterdir()
     written = (run / "result.json").stat().st_mtime_ns
