@@ -13,7 +13,7 @@ MEASURED = Path(__file__).parents[2] / "benchmarks" / "measured"
 MODULUS = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus"
 VISCOSITY = "bodies.beam.material.viscosity.shear"
 FITS = ("swing", "swing_bare", "swing_fine", "rest", "rest_bare", "rest_fine")
-NOT_YET = {"swing_bare", "swing_fine"}
+NOT_YET = {"swing_bare"}
 """Fits of hours that were not made again since the clamp of the scenes is longer."""
 
 
@@ -61,11 +61,20 @@ def test_the_loaded_beam_at_rest_is_predicted():
 def test_the_real_beam_does_not_depend_on_the_grid():
     """Two grids: E within 2 %, the viscosity within 15 %."""
     told = kept("real_beam")
-    for of, kind in ((told["source_clamp"], "swing"), (told["source_clamp"], "rest"), (told, "rest")):
-        coarse, fine = (of[name]["unknowns"] for name in (kind, f"{kind}_fine"))
-        assert fine[MODULUS]["value"] == pytest.approx(coarse[MODULUS]["value"], rel=0.02)
-    coarse, fine = (told["source_clamp"][name]["unknowns"][VISCOSITY]["value"] for name in ("swing", "swing_fine"))
-    assert fine == pytest.approx(coarse, rel=0.15)
+    for of in (told["source_clamp"], told):
+        for kind in ("swing", "rest"):
+            coarse, fine = (of[name]["unknowns"] for name in (kind, f"{kind}_fine"))
+            assert fine[MODULUS]["value"] == pytest.approx(coarse[MODULUS]["value"], rel=0.02)
+        coarse, fine = (of[name]["unknowns"][VISCOSITY]["value"] for name in ("swing", "swing_fine"))
+        assert fine == pytest.approx(coarse, rel=0.15)
+
+
+def test_the_reference_frame_fits_the_real_beam_better_than_the_updated_frame():
+    """Its errors [mm] on cells of 5 and 3.75 mm were 0.365 and 0.524 bare, 1.720 and 1.709 loaded."""
+    told = kept("real_beam")
+    for name, bare, loaded in (("swing", 0.365, 1.720), ("swing_fine", 0.524, 1.709)):
+        assert told[name]["recordings"]["bare"]["rmse_mm"] <= bare
+        assert told[name]["recordings"]["loaded"]["rmse_mm"] <= loaded
 
 
 def test_the_longer_clamp_explains_the_real_beam_better():
