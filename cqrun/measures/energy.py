@@ -18,7 +18,10 @@ from cqrun.plugin.registry import plugin
 
 @plugin("measure", "kinetic_energy")
 class KineticEnergy(OnPart):
-    """Kinetic energy sum of m |v|^2 / 2 over the particles of a part [J; 2D: J/m]."""
+    """Kinetic energy sum of m |v|^2 / 2 over the particles of a part [J; 2D: J/m].
+
+    The finest waves of the grid, which the particles average, are not in it.
+    """
 
     needs_time: ClassVar[bool] = True
 

@@ -42,7 +42,6 @@ def test_simulate_prints_the_positions_of_the_bodies(cqrun, scene):
     assert "t = 0 of 0.02 s" in err
 
 
-@pytest.mark.usefixtures("pictures")
 def test_a_run_is_found_again_from_any_folder(cqrun, scene, tmp_path, monkeypatch):
     short = ("-o", "time.duration=0.02", "-q")
     code, _, err = cqrun("simulate", scene, *short)
@@ -62,6 +61,7 @@ def test_a_run_is_found_again_from_any_folder(cqrun, scene, tmp_path, monkeypatc
     assert (elsewhere / "here" / "fit" / run.name / "result.json").is_file()
 
 
+@pytest.mark.usefixtures("pictures")
 def test_an_error_while_drawing_does_not_make_the_run_fail(cqrun, scene, monkeypatch):
     def broken(run):
         raise ValueError("no such axis")

@@ -83,9 +83,13 @@ def test_quantities_agree_with_the_trajectory(simulated):
 
 @pytest.mark.parametrize("frame", ["reference", "updated"])
 def test_the_work_of_weight_and_actuators_is_found_again_in_motion_and_strain(tmp_path, frame):
-    """A cable with a given tension, a muscle and gravity; in the updated frame the grid takes some energy away."""
-    muscle = {"muscle": {"body": "beam", "axis": [1, 0], "strength": 2.0e3}}
-    cable = {"cable": {"body": "beam", "route": [[0.05, 0.235], [0.21, 0.235]], "tension": 20.0}}
+    """A cable with a given tension, a muscle and gravity.
+
+    Particles do not see the grid's finest waves, which is 1.4 % here, and half of that on half the cells. In the
+    updated frame the grid takes some energy away.
+    """
+    muscle = {"muscle": {"body": "beam", "axis": [1, 0], "strength": 4.0e3}}
+    cable = {"cable": {"body": "beam", "route": [[0.05, 0.235], [0.21, 0.235]], "tension": 50.0}}
     measure = {name: MEASURE[name] for name in ("motion", "stored")} | {"centre": {"displacement": {}}}
     changes = {
         "actuators": {"pull": cable, "flex": muscle}, "time": {"duration": 0.2, "control_step": 0.01},
@@ -96,14 +100,10 @@ def test_the_work_of_weight_and_actuators_is_found_again_in_motion_and_strain(tm
     table = table_of(run_simulate(scene, ["world.dx=0.01", f"world.frame={frame}"], tmp_path / "results"))
     given = -1000 * 9.81 * 0.2 * 0.04 * table["centre.y"] + table["pulled"] + table["flexed"]
     kept, size = table["motion"] + table["stored"], given.max()
-    assert abs(table["pulled"]).max() > 0.1 * size
+    assert abs(table["pulled"]).max() > 0.03 * size
     assert abs(table["flexed"]).max() > 0.1 * size
     assert table["stored"].max() > 0.2 * size
-    if frame == "reference":
-        assert kept == pytest.approx(given, abs=0.02 * size)
-    else:
-        assert (kept < given + 0.02 * size).all()
-        assert (kept > 0.5 * given).all()
+    assert kept == pytest.approx(given, abs=(0.02 if frame == "reference" else 0.1) * size)
 
 
 def test_the_trajectory_explains_the_quantities_itself(simulated):
