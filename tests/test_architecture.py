@@ -29,7 +29,7 @@ FLOORS = (
     {"running"},
     {"fitting", "learning"},
     {"jobs"},
-    {"cli", "figures", "report"},
+    {"cli", "figures", "report", "templates"},
 )
 APART = ({"fitting", "learning"},)
 """Rooms of one floor that do not import each other."""

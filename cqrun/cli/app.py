@@ -21,6 +21,7 @@ from cqrun.cli.describe import describe
 from cqrun.cli.doctor import doctor
 from cqrun.cli.export import export
 from cqrun.cli.gradcheck import gradcheck
+from cqrun.cli.new import new
 from cqrun.cli.options import with_grids
 from cqrun.cli.plot import plot
 from cqrun.cli.render import render
@@ -39,7 +40,7 @@ from cqrun.running.reporter import StopFlag
 from cqrun.version import __version__
 
 COMMANDS = (
-    sysid, control, codesign, simulate, rest, sweep, gradcheck, resume, validate, describe, schema, plot, render,
+    new, sysid, control, codesign, simulate, rest, sweep, gradcheck, resume, validate, describe, schema, plot, render,
     report, export, compress, bench, warmup, doctor,
 )  # fmt: skip
 

@@ -15,6 +15,7 @@ from cqrun.cli.terminal import echo
 from cqrun.errors import CqrunError, Problem, RolloutError, RunError, SceneError, Stopped, UsageError
 
 NAMES = [
+    "new",
     "sysid",
     "control",
     "codesign",
