@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,7 +28,7 @@ PUSH = f"loads: {{push: {{point_force: {{body: beam, force: [0, 0], region: {TIP
 
 def write_twin(
     file: Path, overrides: Sequence[str], *, start: float = 0.02, offset: Sequence[float] = (0, 0), seed: int = 1,
-    scene: str = BEAM,
+    scene: str = BEAM, markers: Mapping[str, Sequence[float]] = MARKERS,
 ) -> Path:  # fmt: skip
     """Write a recording of the small beam with its marker positions every 2 ms, and return its file.
 
@@ -37,16 +37,17 @@ def write_twin(
         start: time in the file when the beam is released [s]; it rests before.
         offset: subtracted from the positions [m], so that a recording with this `offset` fits.
         seed: of the noise.
+        markers: rest position of each marker [m].
     """
     built = build(load_scene(scene, ["time.substeps=24", *overrides]))
     matter = matter_of(built, {})
-    observer = observe_markers(matter, "beam", {name: np.array(x) for name, x in MARKERS.items()})
+    observer = observe_markers(matter, "beam", {name: np.array(x) for name, x in markers.items()})
     model = replace(built.model, probe=over_body(observer.rows, "beam", matter))
     records = make_rollout(model, built.assembly.inputs({})).run()
     time = 0.002 * np.arange(round((start + built.scene.time.duration) / 0.002))
     clean = interpolant(time - start, built.scene.time.control_step, model.n_controls)(*observer.observe(records))
     (made,) = make_synthetic(
-        time, tuple(MARKERS), clean - np.array(offset), noise=NOISE, copies=1, rng=np.random.default_rng(seed)
+        time, tuple(markers), clean - np.array(offset), noise=NOISE, copies=1, rng=np.random.default_rng(seed)
     )
     write_csv(made, file)
     return file

@@ -120,6 +120,8 @@ def _camel(name: str) -> str:
 
 def _scene_file(scene: Path) -> Path:
     """Return the file of a scene; `.yaml` is added to a name without an ending."""
+    if not scene.name or scene.name == "..":
+        raise UsageError(f"{scene}: is a folder; name the file of the scene, such as beam.yaml")
     if not scene.suffix:
         scene = scene.with_name(f"{scene.name}.yaml")
     if scene.suffix.lower() not in YAML:

@@ -28,8 +28,11 @@ NOT_TEXT = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 SAY_IT = {".c3d", ".h5"}
 """Endings of files that are in metres if they are read as metres: they say it, or cqrun has made them."""
 
-WIDEST = 130
-"""Characters in a line."""
+WIDEST, MOST_LINES = 130, 50
+"""Characters in a line, and lines in a scene."""
+
+MARKERS = (12, 8, 6, 4)
+"""So many markers are in the scene."""
 
 FAR = 2
 """A file that lies more folders above the scene is named by its whole path."""
@@ -56,14 +59,19 @@ def fit_scene(file: Path, scene: Path, units: str | None = None) -> FitScene:
         DataError: the recording cannot be read, or shows too little.
     """
     recording, unit, guessed = _read(file, units)
-    seen = look(recording)
-    proposal = propose(seen)
-    if guessed:
-        apart = MILLI * float(np.max(np.ptp(seen.rest, axis=0)))
-        proposal.guesses["units"] = f"lengths in the file are in {unit}, so the markers are up to {apart:.3g} mm apart"
+    for most in MARKERS:  # fewer if their names are long
+        seen = look(recording, most)
+        proposal = propose(seen)
+        if guessed:
+            apart = MILLI * float(np.max(np.ptp(seen.rest, axis=0)))
+            proposal.guesses["units"] = (
+                f"lengths in the file are in {unit}, so the markers are up to {apart:.3g} mm apart"
+            )
+        lines = list(_lines(proposal, file, scene, unit if guessed or units else None))
+        if len(lines) <= MOST_LINES:
+            break
     order = ("units", "gravity", "body", "clamp", "density", "stiffness", "start")
     proposal.guesses["density"] = f"{DENSITY:g} kg/m^3, that of silicone rubber, and a Poisson's ratio of {POISSON}"
-    lines = list(_lines(proposal, file, scene, unit if guessed or units else None))
     return FitScene("\n".join(lines) + "\n", tuple(_found(seen)), tuple(
         proposal.guesses[name] for name in order if name in proposal.guesses
     ))  # fmt: skip

@@ -30,8 +30,8 @@ LOSS = 0.03
 IN_CLAMP = 3.0
 """Cells of the body's length that are in the clamp."""
 
-EARLY, LATE = 4, 2
-"""Frames by which the run may begin earlier and later."""
+FRAMES, LATE = 3, 0.03
+"""Frames by which the run may begin earlier or later, or the part of a period."""
 
 THIN = 0.2
 """A body is at least so thick, as a part of its length; markers often lie on one face."""
@@ -112,13 +112,13 @@ def propose(seen: Seen) -> Proposal:
     begin, end = np.zeros(len(low)), world.copy()
     (end if side < 0 else begin)[along] = face + shift[along]
     control, duration = _times(seen)
-    guesses["start"], early = _start_guess(seen), seen.start - EARLY * seen.frame
+    guesses["start"], doubt = _start_guess(seen), max(FRAMES * seen.frame, LATE * (seen.period or 0.0))
     return Proposal(
         names=seen.names, places=seen.rest + shift, corner=low + shift, size=high - low, clamp=(begin, end - begin),
         world=world, dx=dx, gravity=sign * GRAVITY * np.eye(len(low))[down], modulus=modulus,
         viscosity=_nice(LOSS * modulus * (seen.period or 0.2) / (2 * np.pi)), duration=duration, control_step=control,
         start=seen.start, starts=None if seen.still is None else (
-            max(early, seen.still[1]), seen.start + LATE * seen.frame
+            max(seen.start - doubt, seen.still[1]), seen.start + doubt
         ),
         still=seen.still if aligned else None, offset=None if aligned else shift, shift=shift, degrees=degrees,
         guesses=guesses,

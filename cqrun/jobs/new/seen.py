@@ -17,8 +17,8 @@ from cqrun.measurements.plausible import plausible
 from cqrun.measurements.recording import Recording
 from cqrun.plugin.contract import Array
 
-FRAMES, MARKERS = 4000, 12
-"""So many frames and markers are looked at; of more, a part that is spread evenly."""
+FRAMES = 4000
+"""So many frames are looked at; of more, a part that is spread evenly."""
 
 SEEN = 0.5
 """A marker that is seen in a smaller part of the frames is left out."""
@@ -29,7 +29,7 @@ WINDOW = 0.05, 5
 CALM = 0.01
 """A marker is at rest if it moves less than this part of the largest motion, or than twice in the calmest window."""
 
-BRIEFEST = 0.1, 0.15
+BRIEFEST = 0.1, 0.3
 """A rest is longer than this [s], and than this part of the period: a body that turns around is not at rest."""
 
 HARDLY = 0.05
@@ -84,14 +84,14 @@ class Seen:
         return replace(self, **turned)
 
 
-def look(recording: Recording) -> Seen:
-    """Return what a recording shows.
+def look(recording: Recording, most: int = 12) -> Seen:
+    """Return what a recording shows, in at most so many of its markers.
 
     Raises:
         DataError: fewer than two markers can be used, or nothing moves.
     """
     recording, _ = plausible(recording, np.inf, (-np.inf, np.inf))
-    recording, left_out = _chosen(recording)
+    recording, left_out = _chosen(recording, most)
     step = -(-len(recording.time) // FRAMES)
     time, x = recording.time[::step], recording.positions[::step]
     reach = float(np.max(_travel(x)))
@@ -115,7 +115,7 @@ def look(recording: Recording) -> Seen:
 # --- markers ----------------------------------------------------------------------------------------------------
 
 
-def _chosen(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
+def _chosen(recording: Recording, most: int) -> tuple[Recording, tuple[str, ...]]:
     """Return a recording of the markers that can be used, and the others with the reasons."""
     names, share = recording.names, recording.seen().mean(axis=0)
     reasons = {
@@ -131,22 +131,22 @@ def _chosen(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
             f"{recording.source}: {len(usable)} of its {len(names)} markers can be used, and a body cannot be guessed "
             "from fewer than 2: a marker needs a name of its own, and to be seen in half of the frames"
         )
-    kept = _spread([float(share[k]) for k in usable], recording.positions[:, usable], usable)
+    kept = _spread([float(share[k]) for k in usable], recording.positions[:, usable], usable, most)
     left_out = [f"{printable(names[k])} ({why})" for why, bad in reasons.items() for k in dict.fromkeys(bad)]
     if len(kept) < len(usable):
-        left_out.append(f"{len(usable) - len(kept)} others (a scene has room for {MARKERS})")
+        left_out.append(f"{len(usable) - len(kept)} others (a scene has room for {most})")
     chosen = replace(recording, names=tuple(names[k] for k in kept), positions=recording.positions[:, kept])
     return chosen, tuple(dict.fromkeys(left_out))
 
 
-def _spread(share: list[float], x: Array, markers: list[int]) -> list[int]:
-    """Return up to MARKERS of the markers that are far apart, in their order; x (T, M, D) are their positions."""
-    if len(markers) <= MARKERS:
+def _spread(share: list[float], x: Array, markers: list[int], most: int) -> list[int]:
+    """Return at most so many of the markers that are far apart, in their order; x (T, M, D) are their positions."""
+    if len(markers) <= most:
         return markers
     places = np.nan_to_num(_mean(x))
     chosen = [int(np.argmax(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
     distance = np.linalg.norm(places - places[chosen[0]], axis=1)
-    while len(chosen) < MARKERS:
+    while len(chosen) < most:
         chosen.append(int(np.argmax(distance * share)))
         distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
     return [markers[k] for k in sorted(chosen)]
@@ -214,10 +214,11 @@ def _begin(
     distance = np.nan_to_num(np.linalg.norm(away, axis=2)).max(axis=1)
     inside = (time >= still[0]) & (time <= still[1])
     first = max(2.0 * float(np.quantile(distance[inside], 0.9)), CALM * reach)
-    late = np.where(time > still[0] + 0.5 * (still[1] - still[0]), distance, 0.0)
+    middle = still[0] + 0.5 * (still[1] - still[0])
+    late = np.where(time > middle, distance, 0.0)
     passed = [_crossing(time, late, level) for level in (first, 4.0 * first) if late.max() > level]
     at = passed[0] if passed else still[1]
-    start = float(np.clip(2.0 * at - passed[1], min(still[1], at), at)) if len(passed) == 2 else at
+    start = float(np.clip(2.0 * at - passed[1], middle, at)) if len(passed) == 2 else at
     end = min(still[1], start) - 0.05 * (still[1] - still[0])
     return (still[0], end), start
 

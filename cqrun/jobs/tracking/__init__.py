@@ -1,0 +1,1 @@
+"""`cqrun export RUN --to TRACKER`: a finished run in the folders of other programs that compare runs."""
