@@ -97,8 +97,11 @@ def test_markers_that_cannot_be_used_are_left_out_with_the_reason():
     recording.positions[:400, 5] = np.nan
     seen = look(replace(recording, names=("base_1", "twice", "twice", "tip_1", "a\x1bb", "tip_3")))
     assert seen.names == ("base_1", "tip_1")
-    assert " ".join(seen.left_out).count("name is there twice, or cannot be written") == 3
-    assert "tip_3 (it is rarely seen)" in seen.left_out
+    assert seen.left_out == (
+        "twice (another has the same name)",
+        "a\\x1bb (its name cannot be written)",
+        "tip_3 (it is rarely seen)",
+    )
 
 
 def test_of_many_markers_those_far_apart_are_chosen():
@@ -274,7 +277,7 @@ def test_the_scene_of_a_real_recording(tmp_path, name, start, sag):
     path.write_text(proposed.text)
     scene, _ = valid(path)
     (recording,) = scene.recordings.values()
-    assert recording.start == pytest.approx(start, abs=0.012)
+    assert recording.start == pytest.approx(start, abs=0.02)
     assert scene.world.gravity == [-9.81, 0.0, 0.0]
     assert f"by {sag} mm" in " ".join(proposed.guesses)
     assert "Base - 1, Base - 2, Base - 3" in " ".join(proposed.guesses)
@@ -291,6 +294,6 @@ def test_the_scene_of_a_simulated_recording_finds_its_material(tmp_path):
     assert low < 0.3 < high
     run = run_sysid(path, ["optimizer.least_squares.max_iterations=4"], tmp_path / "out", threads=1)
     losses = read_history(run / "history.csv")["loss"]
-    assert losses[-1] < 0.2 * losses[0]
+    assert losses[-1] < 0.6 * losses[0]
     found = result_of(run)["unknowns"]["bodies.body.material.elastic.fixed_corotated.youngs_modulus"]["value"]
     assert 2.0e4 < found < 6.0e4  # the box that is guessed is thinner than the beam, which has 3.0e4

@@ -119,8 +119,9 @@ def _chosen(recording: Recording, most: int) -> tuple[Recording, tuple[str, ...]
     """Return a recording of the markers that can be used, and the others with the reasons."""
     names, share = recording.names, recording.seen().mean(axis=0)
     reasons = {
-        "its name is there twice, or cannot be written": [
-            k for k, n in enumerate(names) if names.count(n) > 1 or not n.strip() or printable(n) != n
+        "another has the same name": [k for k, name in enumerate(names) if names.count(name) > 1],
+        "its name cannot be written": [
+            k for k, name in enumerate(names) if not name.strip() or printable(name) != name
         ],
         "it is rarely seen": np.flatnonzero(share < SEEN).tolist(),
     }
@@ -132,7 +133,7 @@ def _chosen(recording: Recording, most: int) -> tuple[Recording, tuple[str, ...]
             "from fewer than 2: a marker needs a name of its own, and to be seen in half of the frames"
         )
     kept = _spread([float(share[k]) for k in usable], recording.positions[:, usable], usable, most)
-    left_out = [f"{printable(names[k])} ({why})" for why, bad in reasons.items() for k in dict.fromkeys(bad)]
+    left_out = [f"{printable(names[k])} ({why})" for why, bad in reasons.items() for k in bad]
     if len(kept) < len(usable):
         left_out.append(f"{len(usable) - len(kept)} others (a scene has room for {most})")
     chosen = replace(recording, names=tuple(names[k] for k in kept), positions=recording.positions[:, kept])
