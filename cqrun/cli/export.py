@@ -10,6 +10,7 @@ import typer
 
 from cqrun.cli.options import AllowPlugins, Quiet, Run
 from cqrun.cli.terminal import echo
+from cqrun.errors import UsageError
 
 
 class Tracker(StrEnum):

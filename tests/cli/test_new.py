@@ -16,7 +16,7 @@ from plugin_sandbox import sandbox
 from cqrun.cli.new import What
 from cqrun.jobs.new.files import TEMPLATES, scene_templates
 from cqrun.plugin.registry import FOLDERS
-from cqrun.store.marker_csv import write_csv
+from cqrun.store.formats.long_table import write_csv
 
 SCENES = ["codesign", "control", "material", "rest", "simulate"]
 

@@ -22,8 +22,8 @@ from cqrun.jobs.validate import validate
 from cqrun.measurements.recording import Recording
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
+from cqrun.store.formats.long_table import write_csv
 from cqrun.store.history import read_history
-from cqrun.store.marker_csv import write_csv
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "realbeam"
 

@@ -11,9 +11,10 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
+from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array
 from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin
