@@ -67,11 +67,11 @@ def test_the_readme_has_the_exit_codes():
 
 
 def test_the_readme_has_the_default_results_folder():
-    assert f"`--out DIR` (default `{DEFAULT_OUT}/`)" in README
+    assert f"`--out DIR` (default: `{DEFAULT_OUT}/` beside the scene" in README
 
 
 def test_the_readme_shows_a_scene_that_can_be_run():
-    (text,) = re.findall(r"```yaml\n(.*?)```", README, re.DOTALL)
+    text, *_ = re.findall(r"```yaml\n(.*?)```", README, re.DOTALL)
     built = build(load_scene(text))
     assert not built.warnings
     assert built.model.n_controls == 100

@@ -183,7 +183,7 @@ def test_a_link_is_not_overwritten(cqrun, tmp_path):
         (("rest", "a", "--markers", "b.csv"), "--markers belongs to `cqrun new sysid`, not to `cqrun new rest`"),
         (("sysid", "a", "--markers", "none.csv"), "none.csv: there is no such file"),
         (("sysid", "a", "--markers", "empty.csv"), "empty.csv: the file is empty"),
-        (("sysid", "a", "--markers", "text.csv"), "text.csv: the first line must be"),
+        (("sysid", "a", "--markers", "text.csv"), "text.csv:1: the first line must name the columns"),
         (("sysid", "a", "--markers", "binary.csv"), "binary.csv: "),
         (("sysid", "a", "--markers", "binary.c3d"), "binary.c3d: "),
         (("sysid", "a", "--markers", "text.doc"), "text.doc: the name of a recording ends in"),
