@@ -13,7 +13,7 @@ PYTEST := NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 PARALLEL := -n 2 --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help setup lint types pytest test test-nojit test-slow test-rl test-render bench profile demo reproduce-figures clean-cache clean
+.PHONY: help setup lint types pytest test test-nojit test-slow test-rl test-render docs bench profile demo reproduce-figures clean-cache clean
 
 help: ## list all targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-17s %s\n", $$1, $$2}'
@@ -53,6 +53,9 @@ test-rl: $(READY) ## test environments, PPO and autoencoders; installs the extra
 test-render: $(READY) ## test 3D pictures and films; installs the extras `viz3d` and `video`
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[viz3d,video]'
 	$(PYTEST) -n0 tests/figures/test_render.py
+
+docs: $(READY) ## build the documentation -> build/docs/index.html, which needs no network
+	$(BIN)/python -m docs.building
 
 bench: $(READY) ## measure ns per particle and substep of each pass, and of installed peers -> benchmarks/measured
 	$(BIN)/cqrun bench --output benchmarks/measured/bench.json

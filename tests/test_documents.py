@@ -14,6 +14,7 @@ from cqrun.cli.options import DEFAULT_OUT
 from cqrun.errors import RunError, Stopped, UsageError
 from cqrun.running.reporter import EXIT_INTERRUPTED
 from cqrun.scene.load import load_scene
+from docs.building.present import present
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -44,7 +45,7 @@ def test_code_is_told_from_prose():
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_the_commands_and_links_of_a_page_exist(page):
-    text = page.read_text()
+    text = present(page.read_text())
     code = code_of(text)
     assert set(re.findall(r"\bcqrun ([a-z]+)\b", code)) <= NAMES
     assert set(re.findall(r"\bmake ([a-z-]+)\b", code)) <= TARGETS
