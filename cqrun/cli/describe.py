@@ -167,19 +167,29 @@ def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
 
 
 def _field(cls: type[BaseModel], name: str, indent: str) -> Iterator[str]:
+    facts, text = facts_of(cls, name)
+    yield f"{indent}  {name}: {facts}"
+    if text:
+        yield f"{indent}      {text}"
+    for spec in parts_of(cls, name):
+        yield from _fields(spec, indent + "    ")
+
+
+def facts_of(cls: type[BaseModel], name: str) -> tuple[str, str]:
+    """Return unit, kind of value, limits and default of a field, in one line; and what it means."""
     from cqrun.plugin.contract import field_unit, is_differentiable, is_geometric
 
     info, unit = cls.model_fields[name], field_unit(cls, name)
     facts = [f"[{unit}]" if unit else "", _what(info), _range(info), _default(info)]
     facts.append("differentiable" if is_differentiable(cls, name) else "")
     facts.append("differentiable in a body" if is_geometric(cls, name) else "")
-    yield f"{indent}  {name}: " + ", ".join(fact for fact in facts if fact)
-    text = (info.description or "").removesuffix(f" [{unit}]")
-    if text:
-        yield f"{indent}      {text}"
-    if not _choices(info):  # each plug-in has its own page
-        for spec in _specs(info.annotation):
-            yield from _fields(spec, indent + "    ")
+    return ", ".join(fact for fact in facts if fact), (info.description or "").removesuffix(f" [{unit}]")
+
+
+def parts_of(cls: type[BaseModel], name: str) -> list[type[BaseModel]]:
+    """Return the parts of a scene that are inside a field; plug-ins are not: each has its own page."""
+    info = cls.model_fields[name]
+    return [] if _choices(info) else _specs(info.annotation)
 
 
 def _specs(annotation: Any) -> list[type[BaseModel]]:

@@ -31,6 +31,7 @@ LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^()#\s]+)(#[^()\s]*)?\)
 SOURCE = re.compile(r'src="([^":]+)"')
 BLOCK = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
 QUOTED = re.compile(r"^<!-- file: (\S+) -->\n", re.MULTILINE)
+PRINTED = re.compile(r"^<!-- printed by: describe (\w+) -->\n", re.MULTILINE)
 FILES = "files"
 LARGEST = 300_000
 
@@ -41,7 +42,7 @@ def lay_out(folder: Path) -> None:
     shutil.copytree(SITE, folder)
     for path in sorted(folder.rglob("*.md")):
         name = path.relative_to(folder)
-        text = QUOTED.sub(_quoted, present(path.read_text("utf-8")))
+        text = PRINTED.sub(_printed, QUOTED.sub(_quoted, present(path.read_text("utf-8"))))
         path.write_text(_with_links(text, SITE / name, name, folder), "utf-8")
     for origin, place in INCLUDED.items():
         if origin != "README.md":
@@ -62,6 +63,13 @@ def _adapted(text: str, place: str) -> str:
 def _quoted(mark: re.Match[str]) -> str:
     """Return a file of the repository as a block."""
     return f"```yaml\n{(ROOT / mark[1]).read_text('utf-8')}```\n"
+
+
+def _printed(mark: re.Match[str]) -> str:
+    """Return what `cqrun describe WORD` prints, as a block."""
+    from cqrun.cli.describe import _lines
+
+    return "```text\n{}\n```\n".format("\n".join(_lines(mark[1], None)).rstrip())
 
 
 def _write(path: Path, text: str) -> None:

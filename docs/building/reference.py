@@ -78,25 +78,24 @@ def _example(kind: str, name: str) -> Iterator[str]:
 
 
 def _sections() -> Iterator[str]:
-    from cqrun.cli.describe import sections
+    from cqrun.cli.describe import _sections as sections_of_a_scene
 
     yield from ("# Sections of a scene", "", "On the command line: `cqrun describe scene`.", "")
-    for name, cls in sections().items():
+    for name, cls in sections_of_a_scene().items():
         yield from (f"(section-{name})=", f"## {name}", "", docstring(cls), "")
         yield from _fields(cls, deepest=0)
 
 
-def _fields(cls: Any, deepest: int = 9) -> Iterator[str]:
+def _fields(cls: Any, deepest: int = 9, outer: str = "") -> Iterator[str]:
     """Yield the fields of a part of a scene as definitions; the name of a nested field begins with the outer ones."""
-    from cqrun.cli.describe import fields_of
+    from cqrun.cli.describe import facts_of, parts_of
 
-    names: list[str] = []
-    for depth, name, facts, text in fields_of(cls):
-        names = [*names[:depth], name]
-        if depth > deepest:
-            continue
-        yield f"`{'.'.join(names)}`"
+    for name in cls.model_fields:
+        facts, text = facts_of(cls, name)
+        yield f"`{outer}{name}`"
         yield f": {PAGE_OF.sub(_link, escaped(facts))}"
         if text:
             yield f"  <br>{escaped(text)}"
         yield ""
+        for part in parts_of(cls, name) if deepest else ():
+            yield from _fields(part, deepest - 1, f"{outer}{name}.")

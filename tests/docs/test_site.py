@@ -13,7 +13,7 @@ import yaml
 
 from cqrun.build.model import build
 from cqrun.cli.app import COMMANDS
-from cqrun.cli.describe import sections
+from cqrun.cli.describe import _sections
 from cqrun.plugin.registry import FOLDERS, plugins
 from cqrun.scene.load import load_scene
 from docs.building import examples
@@ -88,7 +88,7 @@ def test_every_part_of_a_scene_and_every_command_has_an_entry(site, html):
     for kind in FOLDERS:
         names = [name for name, cls in plugins(kind).items() if cls.kind == kind]
         assert anchors(kind, names) <= html[site / f"reference/{kind}.html"].anchors
-    assert anchors("section", sections()) <= html[site / "reference/sections.html"].anchors
+    assert anchors("section", _sections()) <= html[site / "reference/sections.html"].anchors
     assert anchors("command", [c.__name__ for c in COMMANDS]) <= html[site / "reference/commands.html"].anchors
 
 
