@@ -30,8 +30,9 @@ INCLUDED = {
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^()#\s]+)(#[^()\s]*)?\)")
 SOURCE = re.compile(r'src="([^":]+)"')
 BLOCK = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
-QUOTED = re.compile(r"^<!-- file: (\S+) -->\n", re.MULTILINE)
-PRINTED = re.compile(r"^<!-- printed by: describe (\w+) -->\n", re.MULTILINE)
+MARK = re.compile(r"^<!-- (file|printed by|table of README.md): (.+) -->\n", re.MULTILINE)
+"""What is filled in: a file, what `cqrun describe WORD` prints, or the table of README.md that begins so."""
+
 FILES = "files"
 LARGEST = 300_000
 
@@ -42,7 +43,7 @@ def lay_out(folder: Path) -> None:
     shutil.copytree(SITE, folder)
     for path in sorted(folder.rglob("*.md")):
         name = path.relative_to(folder)
-        text = PRINTED.sub(_printed, QUOTED.sub(_quoted, present(path.read_text("utf-8"))))
+        text = MARK.sub(_filled_in, present(path.read_text("utf-8")))
         path.write_text(_with_links(text, SITE / name, name, folder), "utf-8")
     for origin, place in INCLUDED.items():
         if origin != "README.md":
@@ -60,16 +61,18 @@ def _adapted(text: str, place: str) -> str:
     return text + "\n```{toctree}\n:hidden:\n:glob:\n\n[0-9]*\n```\n"
 
 
-def _quoted(mark: re.Match[str]) -> str:
-    """Return a file of the repository as a block."""
-    return f"```yaml\n{(ROOT / mark[1]).read_text('utf-8')}```\n"
-
-
-def _printed(mark: re.Match[str]) -> str:
-    """Return what `cqrun describe WORD` prints, as a block."""
+def _filled_in(mark: re.Match[str]) -> str:
+    """Return what a mark stands for."""
+    if mark[1] == "file":
+        return f"```yaml\n{(ROOT / mark[2]).read_text('utf-8')}```\n"
+    if mark[1] == "table of README.md":
+        (table,) = re.findall(
+            rf"^\| {mark[2]}.*?(?=^$)", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE | re.DOTALL
+        )
+        return str(table)
     from cqrun.cli.describe import _lines
 
-    return "```text\n{}\n```\n".format("\n".join(_lines(mark[1], None)).rstrip())
+    return "```text\n{}\n```\n".format("\n".join(_lines(mark[2].removeprefix("describe "), None)).rstrip())
 
 
 def _write(path: Path, text: str) -> None:

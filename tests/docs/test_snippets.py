@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import typer
 import yaml
 from numba import config
 from snippets import LANGUAGES, Block, blocks, commands, differences, pages
@@ -88,6 +89,21 @@ def test_every_block_says_what_it_is():
             assert block.language in LANGUAGES, where
             if block.language in ("yaml", "csv"):
                 assert block.file or {"part of", "skip"} & block.said.keys(), where
+
+
+def test_commands_that_are_not_run_have_their_scenes_and_options():
+    known = typer.main.get_command(cli.app).commands
+    for page in PAGES:
+        for block in blocks(present(page.read_text("utf-8"))):
+            if block.language != "console" or "skip" not in block.said:
+                continue
+            for command, _ in commands(block.text):
+                words = shlex.split(command.partition("||")[0])
+                scenes = [word for word in words if word.startswith("scenes/")]
+                assert all((SITE.parents[1] / scene).is_file() for scene in scenes), command
+                if words[0] == "cqrun":
+                    options = {option for parameter in known[words[1]].params for option in parameter.opts}
+                    assert {word.partition("=")[0] for word in words if word.startswith("-")} <= options, command
 
 
 @whole_job
