@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cqrun.explain import listed
 from cqrun.figures.path import TABLE as REST_TABLE
 from cqrun.figures.path import read_table
 from cqrun.figures.run_data import RunData
@@ -47,7 +48,8 @@ def draw_measured(run: RunData) -> Figure | None:
         _plot(axes, name, quantity, along, marker="." if measured.at_rest else "")
         axes.set_xlabel(label)
     if len(measured.quantities) > MOST:
-        figure.suptitle(f"{MOST} of {len(measured.quantities)} quantities; {TABLE} has all")
+        rest = listed(list(measured.quantities)[MOST:], 4)
+        figure.suptitle(f"{MOST} of {len(measured.quantities)} quantities; {TABLE} also has {rest}")
     return figure
 
 

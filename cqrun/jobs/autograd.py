@@ -39,7 +39,7 @@ def _of_numpy(function: Callable[..., Any], names: Sequence[str]) -> Function:
             if np.shape(bar) != arrays[name].shape:
                 shapes = f"{np.shape(bar)}; the array has {arrays[name].shape}"
                 raise UsageError(f"loss: the derivative by '{name}' has the shape {shapes}")
-        return _number(value), {name: np.asarray(bar, float) for name, bar in bars.items()}
+        return _number(value), {name: real(name, bar) for name, bar in bars.items()}
 
     return called
 
@@ -87,8 +87,19 @@ def _package(name: str) -> Any:
         raise UsageError(message) from error
 
 
+def real(name: str, bar: Any) -> Array:
+    """Return a derivative as an array of numbers; raise UsageError for anything else."""
+    array = np.asarray(bar)
+    if array.dtype.kind not in "fiub":
+        raise UsageError(f"loss: the derivative by '{name}' has no real numbers: it is of the type {array.dtype}")
+    return array.astype(float)
+
+
 def _number(value: Any) -> float:
-    number = float(value)
+    array = np.asarray(value)
+    if array.ndim or array.dtype.kind not in "fiub":
+        raise UsageError(f"loss: the function must return a single real number as the loss, not {shown(value)}")
+    number = float(array)
     if not np.isfinite(number):
         raise UsageError(f"loss: the function returned {number}; a loss must be finite")
     return number

@@ -13,7 +13,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,10 +23,9 @@ from cqrun.engine.model import LossBar, Model, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import UsageError
 from cqrun.explain import listed, shown, suggest
-from cqrun.jobs.autograd import BACKENDS, Function, differentiated
+from cqrun.jobs.autograd import BACKENDS, Function, differentiated, real
 from cqrun.jobs.given_values import Values
 from cqrun.learning.agent import CONTROLLER, Agent
-from cqrun.measures.measure import BoundMeasure
 from cqrun.observers.rows import single, slices, stacked
 from cqrun.observers.track import Track, TrackBar
 from cqrun.optimizers.base import one_blas_thread
@@ -63,8 +62,12 @@ class Runs(Protocol):
         """Return a gradient with the parts of followers added to their unknowns."""
 
 
-ALL = "particles"
-"""Name of the rows that record every particle, among those of the measured quantities."""
+class Call(NamedTuple):
+    """One rollout of a problem: its values by key path, and its goals."""
+
+    rollout: Rollout
+    values: dict[str, Array]
+    goals: dict[str, Array]
 
 
 class OwnLoss:
@@ -87,16 +90,16 @@ class OwnLoss:
         if backend not in BACKENDS:
             near = suggest(backend, BACKENDS)
             raise UsageError(f"loss: there is no backend '{backend}'{near}; there are {listed(BACKENDS)}")
-        self.problem, self.names = problem, tuple(_arguments(function) if of is None else of)
+        self.problem, self.names = problem, _named(function, of)
         self._function = differentiated(function, self.names, backend)
         self._recorded = Recorded(problem, self.names)
 
     def __call__(self, params: Values | None = None, goals: Mapping[str, Any] | None = None) -> float:
         """Return the loss; the arguments and errors are those of `value_and_grad`."""
-        rollout = self._recorded.rollout(params, goals, adjoint=False)
+        call = self._recorded.call(params, goals, adjoint=False)
         with one_blas_thread():
-            records = rollout.run()
-        return self._function(self._recorded.arrays(rollout, records))[0]
+            records = call.rollout.run()
+        return self._function(self._recorded.arrays(call, records))[0]
 
     def value_and_grad(
         self, params: Values | None = None, goals: Mapping[str, Any] | None = None
@@ -131,7 +134,7 @@ def vjp(
         for name, bar in bars.items():
             if np.shape(bar) != arrays[name].shape:
                 raise UsageError(f"vjp: {name} has the shape {np.shape(bar)}; its array has {arrays[name].shape}")
-        return 0.0, {name: np.asarray(bar, float) for name, bar in bars.items()}
+        return 0.0, {name: real(name, bar) for name, bar in bars.items()}
 
     return recorded.gradient(product, params, goals)[1]
 
@@ -160,71 +163,71 @@ class Recorded:
         self.measures = {name: m for name, m in bound_measures(built).items() if name in self.names}
         self.base = built.model if agent is None else agent.model
         n = len(built.particles.x)
-        rows = {name: measure.rows for name, measure in self.measures.items()}
+        rows = [measure.rows for measure in self.measures.values()]
         if any(name in self.names for name in ("x", "v", "F")):
-            rows[ALL] = single(np.arange(n), n)
+            rows.append(single(np.arange(n), n))
         before = [] if self.base.probe is None else [self.base.probe]
-        places = slices([part.shape[0] for part in (*before, *rows.values())])[len(before) :]
-        self.places = dict(zip(rows, places, strict=True))
-        self.model = replace(self.base, probe=stacked([*before, *rows.values()], n))
+        places = slices([part.shape[0] for part in (*before, *rows)])[len(before) :]
+        self.places = dict(zip(self.measures, places, strict=False))
+        self.everything = places[-1] if places else slice(0, 0)  # the rows of all particles, if they are recorded
+        self.model = replace(self.base, probe=stacked([*before, *rows], n))
 
-    def rollout(self, params: Values | None, goals: Mapping[str, Any] | None, *, adjoint: bool) -> Rollout:
+    def call(self, params: Values | None, goals: Mapping[str, Any] | None, *, adjoint: bool) -> Call:
         """Return a rollout that has not run yet."""
-        self.values = self.problem.stable_values(params)
-        self.goals = self.problem.chosen_goals(goals)
-        return self.problem.rollout_of(self.values, self.goals, model=self.model, adjoint=adjoint)
+        values, chosen = self.problem.stable_values(params), self.problem.chosen_goals(goals)
+        return Call(self.problem.rollout_of(values, chosen, model=self.model, adjoint=adjoint), values, chosen)
 
-    def arrays(self, rollout: Rollout, records: Records) -> dict[str, Array]:
+    def arrays(self, call: Call, records: Records) -> dict[str, Array]:
         """Return the arrays of a motion by name."""
         found: dict[str, Array] = {}
         for name in self.names:
             if name in self.measures:
-                found[name] = self.measures[name].values(self._track(name, rollout, records))
+                found[name] = self.measures[name].values(self._track(name, call, records))
             elif name == "activation":
-                found[name] = rollout.activation.copy()
+                found[name] = call.rollout.activation.copy()
             elif name == "time":
                 found[name] = self.problem.built.scene.time.control_step * np.arange(len(records.x))
             else:
-                found[name] = getattr(records, name)[:, self.places[ALL]]
+                found[name] = getattr(records, name)[:, self.everything]
         return found
 
     def gradient(
         self, function: Function, params: Values | None, goals: Mapping[str, Any] | None
     ) -> tuple[float, dict[str, Any]]:
         """Return a function of the arrays, and its gradient by key path."""
-        rollout = self.rollout(params, goals, adjoint=True)
+        call = self.call(params, goals, adjoint=True)
         value, beside = 0.0, TrackBar()
 
         def loss_bar(records: Records, final: Any) -> LossBar:
             nonlocal value
-            value, bars = function(self.arrays(rollout, records))
-            return self._bars(rollout, records, bars, beside)
+            arrays = self.arrays(call, records)
+            value, bars = function({name: array.copy() for name, array in arrays.items()})
+            return self._bars(call, records, _known(arrays, bars), beside)
 
         with one_blas_thread():
-            _, inputs_bar = rollout.gradient(loss_bar)
+            _, inputs_bar = call.rollout.gradient(loss_bar)
         assembly = self.problem.built.assembly
         assembly.add_beside(inputs_bar, beside)
-        of_scene = {path: value for path, value in self.values.items() if not path.startswith(CONTROLLER)}
+        of_scene = {path: value for path, value in call.values.items() if not path.startswith(CONTROLLER)}
         gradient = assembly.gradient(of_scene, inputs_bar)
-        gradient |= {CONTROLLER + name: bar for name, bar in (rollout.parameters_bar or {}).items()}
+        gradient |= {CONTROLLER + name: bar for name, bar in (call.rollout.parameters_bar or {}).items()}
         return value, self.problem.with_followers(gradient, params)
 
-    def _track(self, name: str, rollout: Rollout, records: Records) -> Track:
-        at, inputs = self.places[name], rollout.inputs
+    def _track(self, name: str, call: Call, records: Records) -> Track:
+        at, inputs = self.places[name], call.rollout.inputs
         return Track(
-            records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at], rollout.activation, self.goals,
+            records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at], call.rollout.activation, call.goals,
             self.problem.built.scene.time.control_step, self.problem.built.assembly.design(inputs), records.held,
             inputs.strength, inputs.rest, inputs.terms, inputs.weights,
         )  # fmt: skip
 
-    def _bars(self, rollout: Rollout, records: Records, bars: Mapping[str, Array], beside: TrackBar) -> LossBar:
+    def _bars(self, call: Call, records: Records, bars: Mapping[str, Array], beside: TrackBar) -> LossBar:
         """Return the cotangents of a rollout's results, and add those of its inputs to `beside`."""
-        full, activation_bar = records.zeros_like(), np.zeros(rollout.activation.shape)
+        full, activation_bar = records.zeros_like(), np.zeros(call.rollout.activation.shape)
         for name, bar in bars.items():
             if name in self.measures:
                 measure, at = self.measures[name], self.places[name]
-                bar = np.where(np.isnan(self._values(measure, name, rollout, records)), 0.0, bar)
-                part = measure.values_vjp(self._track(name, rollout, records), bar)
+                part = measure.values_vjp(self._track(name, call, records), bar)
                 for field in ("x", "v", "C", "F"):
                     if getattr(part, field) is not None:
                         getattr(full, field)[:, at] += getattr(part, field)
@@ -235,11 +238,46 @@ class Recorded:
             elif name == "activation":
                 activation_bar += bar
             elif name != "time":
-                getattr(full, name)[:, self.places[ALL]] += bar
+                getattr(full, name)[:, self.everything] += bar
         return LossBar(full, activation=activation_bar)
 
-    def _values(self, measure: BoundMeasure, name: str, rollout: Rollout, records: Records) -> Array:
-        return measure.values(self._track(name, rollout, records))
+
+def _known(arrays: Mapping[str, Array], bars: Mapping[str, Array]) -> dict[str, Array]:
+    """Return derivatives by arrays, zero where an array has no value.
+
+    Raises:
+        UsageError: a derivative is not finite.
+    """
+    found = {}
+    for name, bar in bars.items():
+        found[name] = np.where(np.isnan(arrays[name]), 0.0, bar)
+        if not np.isfinite(found[name]).all():
+            at = ", ".join(str(int(k)) for k in np.argwhere(~np.isfinite(found[name]))[0])
+            raise UsageError(
+                f"loss: the derivative by '{name}' is not finite at [{at}]: a root of 0 does this, for example; shift "
+                "it by a small number"
+            )
+    return found
+
+
+def _named(function: Callable[..., Any], of: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the names of the arrays that a function takes.
+
+    Raises:
+        UsageError: it is no function, or does not take so many arguments.
+    """
+    if not callable(function):
+        raise UsageError(f"loss: {shown(function)} is no function")
+    if of is None:
+        return tuple(_arguments(function))
+    names = (of,) if isinstance(of, str) else tuple(of)
+    try:
+        inspect.signature(function).bind(*names)
+    except ValueError:
+        return names  # it does not say what it takes
+    except TypeError as error:
+        raise UsageError(f"loss: the function does not take {len(names)} arrays: {error}") from None
+    return names
 
 
 def _arguments(function: Callable[..., Any]) -> list[str]:

@@ -198,7 +198,7 @@ def _idle(scene: Scene) -> Iterator[tuple[str, str]]:
     """Yield what the scene says about motion, and has no effect at rest."""
     for name, measure in scene.measure.items():
         if measure.value.needs_time:  # type: ignore[attr-defined]
-            yield f"measure.{name}.{measure.name}", "is 0 at rest, where nothing moves"
+            yield f"measure.{name}.{measure.name}", "says nothing at rest, where nothing moves"
     for name, body in scene.bodies.items():
         for key in ("velocity", "spin"):
             if any(getattr(body, key)):

@@ -25,7 +25,8 @@ class Rotation(OnPart):
     """Rotation vector [rad] of a body, group or region from rest, by the best rigid fit to its particles.
 
     In 2D it is one angle, positive from x to y. In 3D its direction is the axis and its length the angle; it counts
-    full turns on. With `position` of the same part it is the pose of that part.
+    full turns on, and its gradient grows without bound near a full turn. With `position` of the same part it is the
+    pose of that part.
     """
 
     def bind(self, matter: Matter) -> BoundMeasure:

@@ -12,6 +12,7 @@ by a small phi, R -> exp([phi]x) R, the rotation vector r changes by J(r)^-1 phi
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -89,14 +90,17 @@ def angle(R: Array) -> Array:
 def unwrapped(vectors: Array) -> Array:
     """Return rotation vectors of successive moments (T, n), each as near as possible to the one before it.
 
-    A full turn about its axis is added to a vector, or taken away, so that turns are counted on.
+    A full turn about its axis is added to a vector, or taken away, so that turns are counted on. Moments without a
+    rotation are left out.
     """
     out = np.array(vectors)
+    known = np.flatnonzero(np.isfinite(out).all(axis=1))
     if out.shape[1] == 1:
-        return np.unwrap(out, axis=0)
-    for k in range(1, len(out)):
+        out[known] = np.unwrap(out[known], axis=0)
+        return out
+    for before, k in itertools.pairwise(known):
         length = float(np.linalg.norm(out[k]))
         if length > 0.0:
             axis = out[k] / length
-            out[k] += 2.0 * np.pi * np.round((out[k - 1] @ axis - length) / (2.0 * np.pi)) * axis
+            out[k] += 2.0 * np.pi * np.round((out[before] @ axis - length) / (2.0 * np.pi)) * axis
     return out

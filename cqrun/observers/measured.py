@@ -21,8 +21,8 @@ from cqrun.plugin.registry import plugin
 class Measured(Observer):
     """A quantity of the section `measure`, such as a bend angle: all its components.
 
-    The quantity must depend on the motion at one moment alone. A tension, an energy and a reaction do not: they depend
-    on the activation or on what is known only after a control step.
+    The quantity must depend on the motion at one moment alone. A tension, a work and a reaction do not: they depend on
+    the activation, or on what is known only after a control step. Stresses and energies are not seen either.
     """
 
     quantity: MeasureName = Field(description="Name of the measured quantity")

@@ -74,7 +74,8 @@ class Measuring:
         if not self.bound:
             return None
         found = {name: self.bound[name].continuous(np.array(rows)) for name, rows in self._rows.items()}
-        found |= {name: np.cumsum(rows, axis=0) for name, rows in found.items() if self.bound[name].cumulative}
+        for name in [name for name in found if self.bound[name].cumulative]:  # points at rest are no steps of a motion
+            found[name] = np.full(found[name].shape, np.nan) if at_rest else np.cumsum(found[name], axis=0)
         moments = max([*map(len, found.values()), *(len(rows) for rows in held.values())], default=0)
         step = 1.0 if at_rest else self.built.scene.time.control_step
         for name in self.late:

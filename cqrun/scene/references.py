@@ -27,6 +27,13 @@ TAKEN = ("iteration", "loss", "growth_at", "regulariser", "violation", "kkt", "s
 """Columns of history.csv that no term of the objective may use as its name."""
 
 
+OF_MOTION = {
+    "time": "a column of measurements.csv", "point": "a column of measurements.csv", "x": "the array of positions",
+    "v": "the array of velocities", "F": "the array of deformation gradients", "activation": "the array of activations",
+}  # fmt: skip
+"""What else is called so in tables and in losses of one's own, so that no measured quantity may be."""
+
+
 def findings_between(scene: Sections) -> list[InitErrorDetails]:
     """Return the findings about parts that do not fit together."""
     found = [
@@ -64,11 +71,15 @@ def _names(scene: Sections) -> Iterator[InitErrorDetails]:
 
 
 def _columns(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield terms whose name is already that of another column in history.csv."""
+    """Yield terms and quantities whose name is already that of something else in tables."""
     for name in scene.objective:
         if name in TAKEN:
             message = "history.csv already has a column of this name: give the term another name"
             yield finding(message, ("objective", name), kind=KEY)
+    for name in scene.measure:
+        if name in OF_MOTION:
+            message = f"{OF_MOTION[name]} has this name: give the quantity another one"
+            yield finding(message, ("measure", name), kind=KEY)
 
 
 def _goals_unused(scene: Sections) -> Iterator[InitErrorDetails]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -129,6 +130,11 @@ def test_arguments_may_have_other_names(problem):
         (lambda p: p.loss(lambda tip: (0.0, {"tip": tip[1:]})).value_and_grad(), r"shape \(10, 2\); the array has"),
         (lambda p: p.vjp(x_bar=np.zeros(3)), r"vjp: x has the shape \(3,\); its array has \(11, 80, 2\)"),
         (lambda p: p.vjp(), "vjp takes derivatives as x_bar"),
+        (lambda p: p.vjp(tip_bar=np.full((11, 2), np.nan)), r"the derivative by 'tip' is not finite at .0, 0."),
+        (lambda p: p.loss(lambda tip: (0.0, {"tip": 1j * tip}))(), "no real numbers: it is of the type complex128"),
+        (lambda p: p.loss(lambda tip: (tip, {}))(), "must return a single real number as the loss"),
+        (lambda p: p.loss(3), "loss: 3 is no function"),
+        (lambda p: p.loss(lambda tip: 0.0, of=["tip", "x"]), "does not take 2 arrays: too many positional arguments"),
         (lambda p: p.vjp(x=np.zeros(3)), "not x"),
     ],
 )
@@ -155,3 +161,32 @@ def test_a_notebook_shows_a_problem_with_its_parameters():
     assert f"<td><code>{E}</code></td><td>50000</td><td>Pa</td>" in page
     assert "array of shape (1, 2)" in page
     assert repr(problem) == "<cqrun problem: <b>beam</b>; 80 particles, 10 control steps, 3 parameters>"
+
+
+def test_a_loss_may_be_used_by_several_threads_at_once():
+    problem = cqrun.load(scene(), threads=1)
+    loss = problem.loss(lambda tip: ((tip**2).sum(), {"tip": 2.0 * tip}))
+    params = [{E: 5.0e4 + 100.0 * k} if k % 2 else {STIFFNESS: 50.0 + k} for k in range(8)]
+    one_by_one = [loss.value_and_grad(each) for each in params]
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(loss.value_and_grad, params)) == one_by_one
+
+
+def test_a_quantity_may_be_called_particles():
+    problem = cqrun.load(scene(measure={"particles": {"position": {}}}))
+    motion = problem.simulate()
+    bars = lambda particles, x: {"particles": np.ones(particles.shape), "x": np.ones(x.shape)}  # noqa: E731
+    loss = problem.loss(lambda particles, x: (particles.sum() + x.sum(), bars(particles, x)))
+    assert loss() == pytest.approx(motion.measured["particles"].sum() + motion.x.sum(), rel=1e-12)
+
+
+def test_a_function_that_changes_its_arrays_changes_nothing_else(problem):
+    def careless(tip):
+        bar = 2.0 * tip
+        value = (tip**2).sum()
+        tip[:] = 0.0
+        return value, {"tip": bar}
+
+    plain = problem.loss(lambda tip: ((tip**2).sum(), {"tip": 2.0 * tip}))
+    assert problem.loss(careless).value_and_grad({E: 5.0e4}) == plain.value_and_grad({E: 5.0e4})
+    assert problem.loss(careless, of="tip")() == plain()

@@ -10,6 +10,7 @@ from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, made_matter
 
 from cqrun.errors import CrushedError, UsageError
 from cqrun.measures.measure import BoundMeasure
+from cqrun.measures.turning import unwrapped
 from cqrun.observers.track import Track
 from cqrun.plugin.registry import plugins
 
@@ -170,6 +171,13 @@ def test_a_part_without_extent_has_no_rotation():
     spec = plugins("measure")["rotation"].model_validate({"body": "arm", "group": "line"})
     with pytest.raises(UsageError, match="on one line, so they have no rotation"):
         spec.bind(matter)
+
+
+@pytest.mark.parametrize("axes", [1, 3])
+def test_turns_are_counted_on_after_a_moment_without_a_rotation(axes):
+    vectors = np.zeros((5, axes))
+    vectors[:, -1] = [2.0, 3.0, np.nan, 3.9 - 2 * np.pi, 5.0 - 2 * np.pi]
+    assert unwrapped(vectors)[:, -1] == pytest.approx([2.0, 3.0, np.nan, 3.9, 5.0], nan_ok=True)
 
 
 def test_a_crushed_part_has_no_rotation():

@@ -145,13 +145,18 @@ def test_the_picture_is_drawn(simulated):
 
 
 def test_quantities_of_an_equilibrium_have_a_row_for_each_point(tmp_path):
-    scene = written(tmp_path, path={"activation.pull": [0.0, 1.0]}, measure={**MEASURE, "motion": MEASURE["cable"]})
+    scene = written(
+        tmp_path,
+        path={"activation.pull": [0.0, 1.0]},
+        measure=MEASURE | {"motion": MEASURE["cable"], "worked": {"work": {"actuator": "pull"}}},
+    )
     run = REST.run(scene, [], tmp_path / "results")
     table = table_of(run)
     assert table["point"] == pytest.approx([0, 1, 2])
     weight = 1000 * 9.81 * 0.2 * 0.04
     assert table["held.y"][1:] == pytest.approx(weight * 0.95, rel=0.06)  # what lies in the clamp has no weight there
     assert table["cable"] == pytest.approx([0.0, 0.0, 2.0])
+    assert np.isnan(table["worked"]).all()
     assert list(read_result(run).measured) == NAMES
     assert read_trajectory(run / "trajectory.h5").measured.at_rest
     assert run / "figures" / "measured.png" in draw_run(run)
@@ -160,7 +165,7 @@ def test_quantities_of_an_equilibrium_have_a_row_for_each_point(tmp_path):
 def test_what_is_zero_at_rest_is_said(tmp_path):
     scene = written(tmp_path, job="rest")
     lines = [line for line in validate(scene) if "motion" in line and "warning" in line]
-    assert "is 0 at rest, where nothing moves" in lines[0]
+    assert "says nothing at rest, where nothing moves" in lines[0]
 
 
 def test_quantities_of_a_fit_are_those_of_its_prediction(tmp_path):
@@ -242,6 +247,8 @@ def test_validate_lists_the_quantities(tmp_path):
         ("measure", {"a": {"reaction": {"boundary": "wall"}}}, "there is no boundary 'wall'"),
         ("measure", {"a": {"cable_length": {"cable": "pul"}}}, "there is no actuator 'pul' .did you mean 'pull'"),
         ("measure", {"a": {"bend": {"group": "x"}}}, "to_group"),
+        ("measure", {"time": {"position": {}}}, "measure.time: a column of measurements.csv has this name"),
+        ("measure", {"x": {"position": {}}}, "the array of positions has this name: give the quantity another one"),
         ("objective", {"a": {"measured": {"quantity": "tp"}}}, "no measured quantity 'tp' .did you mean 'tip'"),
         ("objective", {"a": {"measured": {"quantity": "tip", "component": "z"}}}, "there is no component 'z'"),
         ("objective", {"a": {"measured": {"quantity": "bend", "component": "x"}}}, "leave `component` out"),
