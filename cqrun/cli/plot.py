@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import AllowPlugins, results_in
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins
 from cqrun.cli.terminal import echo
 
 KINDS = ("png", "pdf")
@@ -47,7 +47,7 @@ def plot(
             paths = draw_run(runs[0], KINDS)
         else:
             if out is None:
-                out = make_below(runs[0] if len(runs) == 1 else results_in(None, runs[0]), "figures")
+                out = make_below(runs[0] if len(runs) == 1 else DEFAULT_OUT, "figures")
             paths = draw_several(runs, out, KINDS, show)
     for path in paths:
         echo(path)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import AllowPlugins, Quiet, results_in
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Quiet
 from cqrun.cli.terminal import echo
 
 
@@ -34,5 +34,5 @@ def report(
     with working(quiet, allow_plugins, "writing the report"):
         from cqrun.report.write import write
 
-        path = write(runs, output, results_in(None, runs[0]), pictures=pictures_wanted())
+        path = write(runs, output, DEFAULT_OUT, pictures=pictures_wanted())
     echo(path)

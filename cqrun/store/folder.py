@@ -25,8 +25,8 @@ TEMPORARY = ".*.[0-9]*.tmp"
 OWN_FILES = (
     RECORD, LOCK, "scene.yaml", "scene.original.yaml", "log.txt", "history.csv", "evals.log", "evals.[01].npz",
     "result.json", "gradcheck.json", "identified.json", "controller.npz", "activation.csv", "observables.csv",
-    REPORT, "reactions.csv", "rest.csv", "tracks.csv", "trajectory.h5", "trajectory.h5.part", "trajectory.h5.new",
-    "trajectory.h5.packing",
+    REPORT, "measurements.csv", "reactions.csv", "rest.csv", "tracks.csv", "trajectory.h5", "trajectory.h5.part",
+    "trajectory.h5.new", "trajectory.h5.packing", "trajectory.vtkhdf",
 )  # fmt: skip
 """Patterns of the files of a run; tables of other measurements have names of their own (`RunScene.tables`)."""
 
@@ -34,7 +34,7 @@ OWN_FOLDERS = {
     FIGURES: tuple(
         f"{picture}.{kind}"
         for picture in (
-            "convergence", "tracks_*", "bodies", "path", "reactions", "design", "shape", "overview", "compare_*",
+            "convergence", "tracks_*", "bodies", "path", "measured", "reactions", "design", "shape", "overview", "compare_*",
             "motion_*", "last_*", "still_*", "onion_*",
         )
         for kind in ("png", "pdf", "gif", "mp4")

@@ -19,6 +19,9 @@ from cqrun.store.folder import clear
 TWO = "optimizer={adam: {max_iterations: 2}}"
 
 
+MEASURE = "measure={tip: {position: {}}}"
+
+
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
     """Return a run of sysid that has made its data."""
@@ -38,7 +41,7 @@ def runs(fitted, tmp_path_factory):
     return {
         "sysid of its own data": fitted,
         "sysid of a recording": run_sysid(recording, [TWO], out, threads=1),
-        "simulate": run_simulate(fitted.parents[2] / "fit.yaml", ["unknowns={}", "data=null"], out, threads=1),
+        "simulate": run_simulate(fitted.parents[2] / "fit.yaml", ["unknowns={}", "data=null", MEASURE], out, threads=1),
         "replay of sysid": run_simulate(fitted, [], out, threads=1),
         "gradcheck": run_gradcheck(fitted.parents[2] / "fit.yaml", [], out, threads=1)[0],
         "codesign": designed,
@@ -78,7 +81,7 @@ def test_no_command_writes_through_a_link(cqrun, fitted, tmp_path, monkeypatch):
         ["export", run, "--design"],
         ["resume", run],
         ["simulate", run],
-        ["sysid", fitted.parents[2] / "fit.yaml", "-o", TWO],
+        ["sysid", fitted.parents[2] / "fit.yaml", "-o", TWO, "--out", "results"],
         ["plot", whole, fitted],
     ):
         code, _, err = cqrun(*words)
