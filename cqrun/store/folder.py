@@ -34,8 +34,8 @@ OWN_FOLDERS = {
     FIGURES: tuple(
         f"{picture}.{kind}"
         for picture in (
-            "convergence", "tracks_*", "bodies", "path", "measured", "reactions", "design", "shape", "overview", "compare_*",
-            "motion_*", "last_*", "still_*", "onion_*",
+            "convergence", "tracks_*", "bodies", "path", "measured", "reactions", "design", "shape", "overview",
+            "compare_*", "motion_*", "last_*", "still_*", "onion_*",
         )
         for kind in ("png", "pdf", "gif", "mp4")
     ),
