@@ -8,7 +8,7 @@ of times.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -307,13 +307,20 @@ def write(data: Any) -> str:
     return str(text)
 
 
-def with_exponents(data: Any) -> Any:
-    """Return plain data in which texts such as `1.0e4` are numbers, as in a scene's file.
+def with_number(data: Any, loc: Sequence[int | str]) -> bool:
+    """Replace a text such as `1.0e4` at a place in plain data by its number; return whether there is one.
 
-    Data that PyYAML or another program has read from a scene's file has them as text.
+    Data that PyYAML or another program has read from a scene's file has such numbers as text.
     """
-    if isinstance(data, dict):
-        return {key: with_exponents(value) for key, value in data.items()}
-    if isinstance(data, list):
-        return [with_exponents(value) for value in data]
-    return _float(data) if isinstance(data, str) and _EXPONENT.fullmatch(data) else data
+    for key in loc[:-1]:
+        try:
+            data = data[key]
+        except (KeyError, IndexError, TypeError):
+            return False
+    inside = data.get(loc[-1]) if isinstance(data, dict) and loc else None
+    if isinstance(data, list) and loc and isinstance(loc[-1], int) and loc[-1] < len(data):
+        inside = data[loc[-1]]
+    if not (isinstance(inside, str) and _EXPONENT.fullmatch(inside)):
+        return False
+    data[loc[-1]] = _float(inside)
+    return True

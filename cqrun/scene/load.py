@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from cqrun.errors import Problem, SceneError
 from cqrun.explain import complaint
 from cqrun.scene.defaults import with_vector
-from cqrun.scene.document import MAX_CHARACTERS, Document, place_of, read, too_long, with_exponents, write
+from cqrun.scene.document import MAX_CHARACTERS, Document, place_of, read, too_long, with_number, write
 from cqrun.scene.keypath import is_named, locate, removed, replaced
 from cqrun.scene.origin import Origin, Override
 from cqrun.scene.paths import plain
@@ -42,13 +42,24 @@ def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = (
     try:
         if findings := findings_of_plugins(data, origin):
             raise complaint("Scene", findings)
-        scene = Scene.model_validate(data)
+        scene = _validated(data, path is None and not text)
         if findings := findings_of_paths(scene):
             raise complaint("Scene", findings)
     except ValidationError as error:
         raise SceneError(origin.problems(error)) from None
     scene.set_origin(origin)
     return scene
+
+
+def _validated(data: dict[str, Any], is_data: bool) -> Scene:
+    """Return the scene of plain data; where a number is missing and data have a text such as `1.0e4`, it is one."""
+    while True:
+        try:
+            return Scene.model_validate(data)
+        except ValidationError as error:
+            replaced = [with_number(data, found["loc"]) for found in error.errors(include_url=False)] if is_data else []
+            if not any(replaced):
+                raise
 
 
 def resolve(scene: Scene) -> dict[str, Any]:
@@ -65,7 +76,7 @@ def dump(data: dict[str, Any]) -> str:
 def _document(source: Path | str | dict[str, Any]) -> tuple[Document, Path | None, str]:
     """Return the document, its file if it has one, and its text."""
     if isinstance(source, dict):
-        return Document(with_exponents(plain(source))), None, ""
+        return Document(plain(source)), None, ""
     if isinstance(source, str) and "\n" in source:
         return read(source), None, source
     path = Path(source)

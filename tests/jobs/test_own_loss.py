@@ -190,3 +190,10 @@ def test_a_function_that_changes_its_arrays_changes_nothing_else(problem):
     plain = problem.loss(lambda tip: ((tip**2).sum(), {"tip": 2.0 * tip}))
     assert problem.loss(careless).value_and_grad({E: 5.0e4}) == plain.value_and_grad({E: 5.0e4})
     assert problem.loss(careless, of="tip")() == plain()
+
+
+def test_a_text_that_looks_like_a_number_stays_a_text_where_a_text_belongs():
+    data = yaml.safe_load(BEAM) | {"title": "1e4"}
+    data["world"]["gravity"] = [0, "-9.81e0"]
+    read = cqrun.load(data).scene
+    assert (read.title, read.world.gravity) == ("1e4", [0.0, -9.81])
