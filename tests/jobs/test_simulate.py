@@ -80,11 +80,8 @@ def test_a_scene_has_a_run_of_each_job(fit, tmp_path):
     assert sorted(read_record(run)["job"] for run in (tmp_path / "fit").iterdir()) == ["simulate", "sysid"]
 
 
-def test_long_runs_keep_few_frames_and_the_last(beam, tmp_path, monkeypatch):
-    from cqrun.running import trajectories
-
-    monkeypatch.setattr(trajectories, "FRAMES", 4)
-    run = simulate(beam, tmp_path)
+def test_long_runs_keep_few_frames_and_the_last(beam, tmp_path):
+    run = run_simulate(beam, ["trajectory.frames=4"], tmp_path / "few", threads=1)
     assert read_trajectory(run / "trajectory.h5").step.tolist() == [0, 3, 6, 9, 10]
     assert len(rows(run)) == 11
 
