@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from cqrun.build.volumes import averages
 from cqrun.errors import UsageError
 from cqrun.figures.quantities import labels
 from cqrun.report.blocks import Block, Text
@@ -51,7 +52,7 @@ def _simulation(subject: Subject) -> Iterator[str]:
         yield "Equilibria were found by Newton's method with preconditioned conjugate gradients."
     else:
         yield _steps(subject)
-    if scene.world.volume == "averaged":
+    if averages(scene):
         yield "Volume changes were averaged over the corners of cells, so that incompressible material does not lock."
 
 

@@ -11,6 +11,7 @@ import pytest
 from pages import Read
 
 from cqrun.errors import UsageError
+from cqrun.jobs.rest import REST
 from cqrun.report.blocks import Page, Section, Table, Text
 from cqrun.report.html import LIMIT, html
 from cqrun.report.page import write_report
@@ -76,7 +77,15 @@ def test_the_methods_have_the_numbers_of_the_run(made_runs):
     assert "A motion lasted 0.1 s, in 10 control steps of 10 ms with 24 explicit substeps each (416.7 µs" in text
     assert "2 unknowns (Young's modulus, shear viscosity) were fitted to synthetic data with noise of 0.02 mm" in text
     assert "updated Lagrangian form" in text
-    assert "The total Lagrangian form was used" in read(made_runs["rest"], pictures=False).text
+    at_rest = read(made_runs["rest"], pictures=False).text
+    assert "The total Lagrangian form was used" in at_rest
+    assert "Volume changes were averaged" not in at_rest
+
+
+def test_the_methods_say_what_volume_auto_came_to(made_runs, tmp_path):
+    changes = ["bodies.beam.material.elastic.fixed_corotated.poissons_ratio=0.495", "time.substeps=auto"]
+    run = REST.run(made_runs["rest"] / "scene.yaml", changes, tmp_path, threads=1)
+    assert "Volume changes were averaged over the corners of cells" in read(run, pictures=False).text
 
 
 def test_learned_runs_show_terms_constraints_and_unknowns(made_runs):
