@@ -134,7 +134,8 @@ class Experiment:
     def _in_words(self) -> str:
         scene, n = self.scene, len(self.built.particles.x)
         title = f"{scene.title}; " if scene.title else ""
-        return f"{title}{n:,} particles, {scene.time.control_steps:,} control steps, {len(self.params)} parameters"
+        steps, params = scene.time.control_steps, len(self.params)
+        return f"{title}{n:,} particles, {steps:,} control steps, {params} parameter{'s' * (params != 1)}"
 
     def _unit(self, path: str) -> str:
         unit = "" if path.startswith((CONTROLLER, "data.")) else leaf(self.scene, path).unit

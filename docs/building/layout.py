@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 from docs.building.commands import command_pages
+from docs.building.notebooks import notebook_page
 from docs.building.present import present
 from docs.building.reference import reference_pages
 
@@ -41,6 +42,8 @@ def lay_out(folder: Path) -> None:
     """Write the complete source of the site into a folder, which is emptied first."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(SITE, folder)
+    for path in sorted(folder.rglob("*.ipynb")):
+        _write(path.with_suffix(".md"), notebook_page(path))
     for path in sorted(folder.rglob("*.md")):
         name = path.relative_to(folder)
         text = MARK.sub(_filled_in, present(path.read_text("utf-8")))
