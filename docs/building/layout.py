@@ -42,12 +42,12 @@ def lay_out(folder: Path) -> None:
     """Write the complete source of the site into a folder, which is emptied first."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(SITE, folder)
-    for path in sorted(folder.rglob("*.ipynb")):
-        _write(path.with_suffix(".md"), notebook_page(path))
     for path in sorted(folder.rglob("*.md")):
         name = path.relative_to(folder)
         text = MARK.sub(_filled_in, present(path.read_text("utf-8")))
         path.write_text(_with_links(text, SITE / name, name, folder), "utf-8")
+    for path in sorted(folder.rglob("*.ipynb")):
+        _write(path.with_suffix(".md"), notebook_page(path))
     for origin, place in INCLUDED.items():
         if origin != "README.md":
             text = (ROOT / origin).read_text("utf-8")
@@ -97,6 +97,8 @@ def _with_links(text: str, origin: Path, place: Path, folder: Path) -> str:
 
     def moved_to(target: str) -> str | None:
         path = Path(os.path.normpath(origin.parent / target))
+        if path.suffix == ".ipynb":  # it has a page of its own, which leads to the file
+            return Path(target).with_suffix(".md").as_posix()
         if "://" in target or path.is_relative_to(SITE) or not path.is_relative_to(ROOT):
             return target
         name = path.relative_to(ROOT).as_posix()

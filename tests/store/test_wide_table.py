@@ -54,7 +54,7 @@ def test_a_unit_in_the_name_of_a_column(read, form):
 @pytest.mark.parametrize(
     ("clock", "second"),
     [("time", 1), ("t", 1), ("Time", 1), ("time [s]", 1), ("time(s)", 1), ("Time (Seconds)", 1), ("time_s", 1),
-     ("t/s", 1), ("time [ms]", 1e-3), ("time_ms", 1e-3), ("t (milliseconds)", 1e-3)],
+     ("t/s", 1), ("Zeit", 1), ("Temps (ms)", 1e-3), ("time [ms]", 1e-3), ("time_ms", 1e-3), ("t (milliseconds)", 1e-3)],
 )  # fmt: skip
 def test_how_the_time_may_be_called(read, clock, second):
     recording = read(f"frame,{clock},tip_x,tip_y\n1,0,1,2\n2,20,1,2\n")

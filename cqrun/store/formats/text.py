@@ -13,7 +13,7 @@ from cqrun.store.formats.unreadable import other_format
 SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas"}
 """What separates the columns of a table, and its name."""
 
-PAGE = "docs/recordings.md shows every format"
+PAGE = "the page Recordings of the documentation (docs/recordings.md) shows every format"
 """Where a reader finds what would be right."""
 
 LONGEST = 4_000_000

@@ -28,7 +28,7 @@ SECONDS = {word: factor for factor, words in (
 LONGEST_NAME = 200
 """No column's name is longer."""
 
-_TIME = re.compile(r"(?:time|t)(?:[ _]?[\[(/ _]([a-z]+)[\])]?)?")
+_TIME = re.compile(r"(?:time|t|zeit|temps|tiempo|tempo)(?:[ _]?[\[(/ _]([a-z]+)[\])]?)?")
 _FRAME = re.compile(r"(?:sub ?)?frames?[ _#]*(?:number|nr|no|id|index)?\.?|index|sample")
 _UNIT_IN_BRACKETS = re.compile(r"([^\[(]*[^\[( ]) ?[\[(] ?([A-Za-z]+) ?[\])]")
 _UNIT_AT_END = re.compile(r"(.+)[_ ](mm|cm|m)")
