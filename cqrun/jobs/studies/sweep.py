@@ -20,6 +20,7 @@ from typing import Any
 
 from cqrun.errors import SceneError, UsageError
 from cqrun.explain import listed
+from cqrun.fingerprint import engine_hash
 from cqrun.jobs.job import Job
 from cqrun.jobs.studies.axes import Point, Sampling, axis_of, points_of
 from cqrun.jobs.studies.quantities import Quantity, measured_in, quantities_of
@@ -36,10 +37,10 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
-from cqrun.store.folder import make_below
+from cqrun.store.folder import RECORD, REPORT, make_below
 from cqrun.store.model_file import path_of
 from cqrun.store.result import LearnedResult, SimulateResult, read_result
-from cqrun.store.run import read_record
+from cqrun.store.run import FINISHED, read_record
 from cqrun.store.run_scene import stem_of
 from cqrun.store.study import Found, Sweep, SweptRun, read_sweep, write_study
 
@@ -105,12 +106,16 @@ def run_sweep(
     names = list(dict.fromkeys(path for point in points for path in point))
     members = list(_members(points, names, words, job, source, overrides, out, talk))
     path = make_below(out, stem_of(source)) / f"sweep-{_digest(source, scene, job, points)}.json"
-    talk.phase(f"{len(points)} runs of {job.name}, {at_once} at once")
-    if options.on == PROCESSES:
-        run_fleet(members, at_once, "runs", talk)
+    waiting = [member for member in members if fresh or not _is_complete(member.run)]
+    there = (
+        f"; {len(members) - len(waiting)} of {len(members)} are there already" if len(waiting) < len(members) else ""
+    )
+    talk.phase(f"{len(waiting)} runs of {job.name}, {at_once} at once{there}")
+    if options.on == PROCESSES or not waiting:
+        run_fleet(waiting, at_once, "runs", talk)
     else:
         parcel = _parcel(source, scene, job)
-        run_on_cluster(members, options.on, at_once, "runs", talk, source=source, out=out, parcel=parcel)
+        run_on_cluster(waiting, options.on, at_once, "runs", talk, source=source, out=out, parcel=parcel)
     good = sum(member.failure is None for member in members)
     sweep = _summary(stem_of(source), job, points, names, members)
     write_study(path, sweep)
@@ -191,6 +196,15 @@ def _members(
         options = [word for override in own for word in ("-o", override)]
         steps = getattr(optimizer, "max_iterations", 1) if job.extensible else 1
         yield Member(label, out / stem_of(source) / digest, [*words, *options], steps)
+
+
+def _is_complete(run: Path) -> bool:
+    """Return whether a run succeeded, and its command would only draw the same pictures again."""
+    if not (run / RECORD).is_file() or not (run / REPORT).is_file():
+        return False
+    record = read_record(run)
+    succeeded = record["status"] in FINISHED and record["status"] not in (INFEASIBLE, "failed")
+    return succeeded and record.get("engine") == engine_hash() and not record.get("plugins")
 
 
 def _parcel(source: Path, scene: Scene, job: Job[Any, Any]) -> Parcel | None:
