@@ -10,10 +10,10 @@ import pytest
 
 from cqrun.build.model import build
 from cqrun.cli.app import COMMANDS
-from cqrun.cli.options import DEFAULT_OUT
 from cqrun.errors import RunError, Stopped, UsageError
 from cqrun.running.reporter import EXIT_INTERRUPTED
 from cqrun.scene.load import load_scene
+from cqrun.store.places import DEFAULT_OUT
 from docs.building.present import present
 
 ROOT = Path(__file__).parents[1]

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Seeds, Threads, results_in
+from cqrun.cli.options import AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Seeds, Threads
+from cqrun.store.places import results_in
 
 
 def codesign(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from cqrun.cli.options import AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Seeds, Threads, results_in
+from cqrun.cli.options import AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Seeds, Threads
+from cqrun.store.places import results_in
 
 
 def control(

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT, Out
+from cqrun.cli.options import Out
 from cqrun.cli.terminal import echo
 from cqrun.fingerprint import engine_hash
+from cqrun.store.places import DEFAULT_OUT
 from cqrun.version import __version__
 
 REQUIREMENT = re.compile(r"""^([A-Za-z0-9_.-]+)[^;]*(?:;.*extra\s*==\s*['"]([^'"]+)['"])?""")

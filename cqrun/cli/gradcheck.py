@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import typer
 
-from cqrun.cli.options import AllowPlugins, Fresh, Out, Overrides, Quiet, Scene, Threads, results_in
+from cqrun.cli.options import AllowPlugins, Fresh, Out, Overrides, Quiet, Scene, Threads
+from cqrun.store.places import results_in
 
 
 def gradcheck(

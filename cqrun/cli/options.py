@@ -8,8 +8,6 @@ from typing import Annotated
 
 import typer
 
-DEFAULT_OUT = Path("results")
-
 Scene = Annotated[Path, typer.Argument(help="Scene file (YAML).", show_default=False)]
 Run = Annotated[Path, typer.Argument(help="Run directory, as printed by the run.", show_default=False)]
 Overrides = Annotated[
@@ -54,18 +52,6 @@ Resolution = Annotated[
 Jobs = Annotated[
     int | None, typer.Option("--jobs", metavar="N", help="Number of runs at once; the number of threads if not given.")
 ]
-
-
-def results_in(out: Path | None, source: Path) -> Path:
-    """Return the folder for runs: the one that is given, or `results` beside the scene, wherever the command is typed.
-
-    Args:
-        out: the folder that is given.
-        source: the scene's file, or a run to replay, whose results go where it is.
-    """
-    if out is not None:
-        return out
-    return source.resolve().parent.parent if source.is_dir() else source.parent / DEFAULT_OUT
 
 
 def with_grids(words: Sequence[str]) -> Iterator[str]:

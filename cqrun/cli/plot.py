@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins
+from cqrun.cli.options import AllowPlugins
 from cqrun.cli.terminal import echo
+from cqrun.store.places import DEFAULT_OUT
 
 KINDS = ("png", "pdf")
 

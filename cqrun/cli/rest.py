@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Threads, results_in
+from cqrun.cli.options import AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Threads
+from cqrun.store.places import results_in
 
 
 def rest(

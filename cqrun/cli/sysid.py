@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from cqrun.cli.options import AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Scene, Threads, results_in
+from cqrun.cli.options import AllowPlugins, Fresh, Out, Overrides, Quiet, Resolution, Scene, Threads
+from cqrun.store.places import results_in
 
 
 def sysid(

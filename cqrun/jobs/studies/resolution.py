@@ -37,6 +37,7 @@ from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
 from cqrun.store.folder import make_below
 from cqrun.store.model_file import path_of
+from cqrun.store.places import results_in
 from cqrun.store.run import read_record
 from cqrun.store.run_scene import stem_of
 from cqrun.store.study import GridRun, OnGrids, Resolution, read_resolution, write_study
@@ -115,7 +116,7 @@ def run_resolution(
 
 def resolution(
     scene: Path | str, overrides: Sequence[str] = (), grids: Sequence[float] = (), *, job: str | None = None,
-    out: Path | str = "results", fresh: bool = False, threads: int | None = None, allow_plugins: bool = False,
+    out: Path | str | None = None, fresh: bool = False, threads: int | None = None, allow_plugins: bool = False,
 ) -> Resolution:  # fmt: skip
     """Run a scene file on two or three grids, and extrapolate what it finds to a cell size of zero.
 
@@ -124,7 +125,7 @@ def resolution(
         overrides: list of `key.path=value`.
         grids: cell sizes, finest last [m]; the scene's, and one 1.5 times smaller, if not given.
         job: sysid, rest or simulate; the scene's own if not given, or simulate if it has none.
-        out: directory of all results; finished runs in it are not repeated.
+        out: directory of all results, in which finished runs are not repeated; `results` beside the scene if not given.
         fresh: delete existing runs and start again.
         threads: largest number of threads; all cores if not given.
         allow_plugins: whether to run the plug-in files that the scene names.
@@ -141,7 +142,7 @@ def resolution(
         if name not in COMPARED:
             raise UsageError(f"resolution: compares the grids of {listed(COMPARED)}, not of {name}")
         path, _ = run_resolution(
-            scene, overrides, out, job=JOBS[name], grids=text, fresh=fresh, threads=threads
+            scene, overrides, results_in(out, Path(scene)), job=JOBS[name], grids=text, fresh=fresh, threads=threads
         )  # fmt: skip
     return read_resolution(path)
 

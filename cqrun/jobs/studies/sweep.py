@@ -39,6 +39,7 @@ from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
 from cqrun.store.folder import RECORD, REPORT, make_below
 from cqrun.store.model_file import path_of
+from cqrun.store.places import results_in
 from cqrun.store.result import LearnedResult, SimulateResult, read_result
 from cqrun.store.run import FINISHED, read_record
 from cqrun.store.run_scene import stem_of
@@ -107,10 +108,9 @@ def run_sweep(
     members = list(_members(points, names, words, job, source, overrides, out, talk))
     path = make_below(out, stem_of(source)) / f"sweep-{_digest(source, scene, job, points)}.json"
     waiting = [member for member in members if fresh or not _is_complete(member.run)]
-    there = (
-        f"; {len(members) - len(waiting)} of {len(members)} are there already" if len(waiting) < len(members) else ""
-    )
-    talk.phase(f"{len(waiting)} runs of {job.name}, {at_once} at once{there}")
+    there = len(members) - len(waiting)
+    already = f"; {there} of {len(members)} are there already" if there else ""
+    talk.phase(f"{len(waiting)} runs of {job.name}, {at_once} at once{already}")
     if options.on == PROCESSES or not waiting:
         run_fleet(waiting, at_once, "runs", talk)
     else:
@@ -128,7 +128,7 @@ def run_sweep(
 def sweep(
     scene: Path | str, axes: Sequence[str], overrides: Sequence[str] = (), *, samples: int | None = None,
     seeds: int | None = None, job: str | None = None, jobs: int | None = None, on: str = PROCESSES,
-    out: Path | str = "results", fresh: bool = False, threads: int | None = None, allow_plugins: bool = False,
+    out: Path | str | None = None, fresh: bool = False, threads: int | None = None, allow_plugins: bool = False,
 ) -> Sweep:  # fmt: skip
     """Run a scene file at many points, each in a process of its own.
 
@@ -141,7 +141,7 @@ def sweep(
         job: sysid, control, codesign, simulate or rest; the scene's own if not given, or simulate if it has none.
         jobs: number of runs at once; the number of threads if not given.
         on: `processes`, `dask`, `dask://HOST:PORT` or `slurm`.
-        out: directory of all results; finished runs in it are not repeated.
+        out: directory of all results, in which finished runs are not repeated; `results` beside the scene if not given.
         fresh: delete existing runs and start again.
         threads: number of threads of all runs together; all cores if not given.
         allow_plugins: whether to run the plug-in files that the scene names.
@@ -155,7 +155,8 @@ def sweep(
     options = SweepOptions(axes, samples, seeds=seeds, job=job, jobs=jobs, on=on)
     with plugins_allowed(allow_plugins):
         path, _ = run_sweep(
-            scene, overrides, out, options, fresh=fresh, threads=threads, allow_plugins=allow_plugins
+            scene, overrides, results_in(out, Path(scene)), options, fresh=fresh, threads=threads,
+            allow_plugins=allow_plugins,
         )  # fmt: skip
     return read_sweep(path)
 

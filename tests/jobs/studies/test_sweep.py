@@ -80,6 +80,14 @@ def test_from_python(swept):
     assert [run.found for run in found.runs] == [run.found for run in read_sweep(path).runs]
 
 
+def test_from_python_runs_lie_beside_the_scene_as_those_of_the_command(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "beam.yaml").write_text(BEAM)
+    monkeypatch.chdir(tmp_path)
+    found = cqrun.sweep("here/beam.yaml", [f"{E}=4e4"])
+    assert Path(found.runs[0].run).resolve().parent == tmp_path / "here" / "results" / "beam"
+
+
 def test_a_wrong_value_is_refused_before_any_run(swept, tmp_path):
     folder, _, _ = swept
     options = SweepOptions([f"{NU}=0.3,0.6"])
