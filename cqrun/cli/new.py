@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -48,6 +49,16 @@ def new(
     units: Annotated[
         Unit | None, typer.Option("--units", help="Length unit of the recording, if it names none.")
     ] = None,
+    size: Annotated[
+        str | None, typer.Option("--size", metavar="X,Y[,Z]", help="Edges of the body along the axes of the file [m].")
+    ] = None,
+    corner: Annotated[
+        str | None, typer.Option("--corner", metavar="X,Y[,Z]", help="Its lower corner at rest, as in the file [m].")
+    ] = None,
+    clamp: Annotated[
+        float | None, typer.Option("--clamp", metavar="LENGTH", help="Length of the body that is held [m].")
+    ] = None,
+    density: Annotated[float | None, typer.Option("--density", help="Density of the body [kg/m^3].")] = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write to.")] = Path(),
     force: Annotated[bool, typer.Option("--force", help="Overwrite files that are there already.")] = False,
     quiet: Quiet = False,
@@ -55,19 +66,23 @@ def new(
     """Write a small scene, or a plug-in with a scene that uses it; each runs as it is, and says what to change.
 
     `new sysid NAME --markers FILE` proposes a scene for a recording: body, clamp, times, units and unknowns. It lists
-    what is a guess. `new material NAME` fits a tensile test. `new plugin KIND NAME` writes NAME.py and NAME.yaml.
+    what is a guess; give what you have measured with --size, --corner, --clamp and --density. `new material NAME` fits
+    a tensile test. `new plugin KIND NAME` writes NAME.py and NAME.yaml.
     """
-    _require_fitting(what, names, markers)
+    edges, lowest = _numbers("size", size), _numbers("corner", corner)
+    of_sysid = {"units": units, "size": size, "corner": corner, "clamp": clamp, "density": density, "markers": markers}
+    _require_fitting(what, names, of_sysid)
     from cqrun.cli.progress import reporting
 
     with reporting(quiet, f"reading {markers}" if markers else "reading the templates"):
         from cqrun.jobs.new.files import new_fit, new_plugin, new_scene
+        from cqrun.jobs.new.lengths import Given
 
         if what is What.plugin:
             written = new_plugin(names[0], names[1], out, overwrite=force)
         elif what is What.sysid:
             assert markers is not None
-            written = new_fit(markers, out / names[0], units, overwrite=force)
+            written = new_fit(markers, out / names[0], units, Given(edges, lowest, clamp, density), overwrite=force)
         else:
             written = new_scene(what.value, out / names[0], overwrite=force)
     for line in written.found:
@@ -81,16 +96,26 @@ def new(
     echo(f"next: {written.next}")
 
 
-def _require_fitting(what: What, names: list[str], markers: Path | None) -> None:
-    """Raise a UsageError for names and options that do not go with what is written."""
+def _numbers(option: str, text: str | None) -> list[float] | None:
+    """Return the numbers of an option that are separated by commas."""
+    try:
+        return None if text is None else [float(number) for number in text.split(",")]
+    except ValueError:
+        message = f"--{option} {text}: takes numbers in m with commas between them, such as 0.12,0.016,0.012"
+        raise UsageError(message) from None
+
+
+def _require_fitting(what: What, names: list[str], of_sysid: Mapping[str, object]) -> None:
+    """Raise a UsageError for names, and options of `new sysid` by name, that do not go with what is written."""
     if what is What.plugin and len(names) != 2:
         raise UsageError("a plug-in needs its kind and a name, such as `cqrun new plugin elastic my_law`")
     if what is not What.plugin and len(names) != 1:
         raise UsageError(f"give one name for the scene, such as `cqrun new {what} my_{what}.yaml`")
-    if what is What.sysid and markers is None:
+    if what is What.sysid and of_sysid["markers"] is None:
         raise UsageError(
             "name the recording with --markers FILE (C3D, CSV or trajectory.h5). For a tensile test: "
             "`cqrun new material NAME`; for data of another kind: `cqrun new plugin measurement NAME`"
         )
-    if what is not What.sysid and markers is not None:
-        raise UsageError(f"--markers belongs to `cqrun new sysid`, not to `cqrun new {what}`")
+    strange = [option for option, value in of_sysid.items() if value is not None]
+    if what is not What.sysid and strange:
+        raise UsageError(f"--{strange[-1]} belongs to `cqrun new sysid`, not to `cqrun new {what}`")

@@ -181,6 +181,8 @@ def test_a_link_is_not_overwritten(cqrun, tmp_path):
         (("control", "a", "b"), "give one name for the scene, such as `cqrun new control my_control.yaml`"),
         (("sysid", "a"), "name the recording with --markers FILE"),
         (("rest", "a", "--markers", "b.csv"), "--markers belongs to `cqrun new sysid`, not to `cqrun new rest`"),
+        (("rest", "a", "--size", "1,1"), "--size belongs to `cqrun new sysid`, not to `cqrun new rest`"),
+        (("sysid", "a", "--markers", "b.csv", "--size", "10x2"), "--size 10x2: takes numbers in m with commas between"),
         (("sysid", "a", "--markers", "none.csv"), "none.csv: there is no such file"),
         (("sysid", "a", "--markers", "empty.csv"), "empty.csv: the file is empty"),
         (("sysid", "a", "--markers", "text.csv"), "text.csv:1: the first line must name the columns"),

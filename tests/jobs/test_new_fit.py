@@ -13,9 +13,10 @@ from made_swing import FREE, HELD, PERIOD, PLACES, RELEASE, SAG, swing
 from small_beam import result_of
 from twin_recordings import write_twin
 
-from cqrun.errors import DataError
+from cqrun.errors import DataError, UsageError
 from cqrun.jobs.new.fit_scene import fit_scene
-from cqrun.jobs.new.proposal import propose
+from cqrun.jobs.new.lengths import Given
+from cqrun.jobs.new.proposal import NOTHING, propose
 from cqrun.jobs.new.seen import look
 from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.validate import validate
@@ -28,11 +29,17 @@ from cqrun.store.history import read_history
 REAL = Path(__file__).parents[3] / "shared" / "data" / "realbeam"
 
 
-def written(folder: Path, recording: Recording, name: str = "swing.csv", units: str | None = None) -> tuple[Path, str]:
+def written(
+    folder: Path,
+    recording: Recording,
+    name: str = "swing.csv",
+    units: str | None = None,
+    given: Given = NOTHING,
+) -> tuple[Path, str]:
     """Write a recording, and the scene that is proposed for it; return the scene's file and what there is to check."""
     write_csv(recording, folder / name)
     scene = folder / "fit.yaml"
-    proposed = fit_scene(folder / name, scene, units)
+    proposed = fit_scene(folder / name, scene, units, given)
     scene.write_text(proposed.text)
     return scene, "\n".join(proposed.guesses)
 
@@ -265,6 +272,79 @@ def scaled(factor: float) -> Recording:
     """Return a recording of a body that is so many times as large."""
     recording = swing(noise=0.0)
     return replace(recording, positions=factor * recording.positions)
+
+
+# --- what a user has measured -----------------------------------------------------------------------------------
+
+
+def test_what_is_given_is_used_and_is_no_guess(tmp_path):
+    corner, size = [0.17, -0.318, 0.482], [0.144, 0.036, 0.012]
+    path, guesses = written(tmp_path, swing(degrees=30.0), given=Given(size, corner, 0.03, 1200.0))
+    scene, lines = valid(path)
+    recording, box = scene.recordings["swing"], scene.bodies["body"].shape.value
+    assert box.size == size
+    assert scene.bodies["body"].material.density == 1200
+    shift = np.array(box.corner) - corner
+    clamp = scene.boundaries["clamp"].value.region.value
+    assert clamp.size[0] == pytest.approx(box.corner[0] + 0.03)
+    assert "turned" not in path.read_text()  # the corner is in the axes of the file
+    base = look(swing(degrees=30.0)).rest[0]
+    assert recording.measurement.rest["base_1"] == pytest.approx(base + shift, abs=1e-4)
+    assert not any(word in guesses for word in ("the body is a box", "held up to", "kg/m^3"))
+    assert any("whole" in line or "6 particles across" in line or "cells and" in line for line in lines)
+
+
+def test_cells_of_a_measured_body_hold_whole_particles(tmp_path):
+    size = np.array([0.12, 0.035, 0.02])
+    path, _ = written(tmp_path, swing(), given=Given(size.tolist()))
+    particles = size / (load_scene(path).world.dx / 2)
+    np.testing.assert_allclose(particles, np.round(particles), atol=1e-6)
+
+
+def test_the_axes_of_the_file_are_kept_where_they_can_be(tmp_path):
+    recording = swing(release=0.0, duration=0.6)
+    recording = replace(recording, positions=np.add(recording.positions, [-0.1, 0.4, -0.35]))
+    path, _ = written(tmp_path, recording, given=Given([0.12, 0.02, 0.02], [0.08, 0.09, 0.14], 0.02))
+    scene, _ = valid(path)
+    assert scene.bodies["body"].shape.value.corner == [0.08, 0.09, 0.14]
+    assert "offset:" not in path.read_text()
+
+
+def test_one_marker_is_enough_for_a_measured_body(tmp_path):
+    recording = swing().select(["tip_1"])
+    with pytest.raises(DataError, match="or give the edges of the body with --size"):
+        fit_scene_of(tmp_path, recording, NOTHING)
+    path, guesses = written(tmp_path, recording, given=Given([0.12, 0.04, 0.02], [0.19, -0.32, 0.49]))
+    scene, _ = valid(path)
+    assert "far from its only marker" in guesses
+    low, high = scene.unknowns["bodies.body.material.elastic.fixed_corotated.youngs_modulus"].bounds
+    assert high / low == pytest.approx(100, rel=0.1)
+
+
+def test_a_stiffness_has_wider_bounds_if_the_size_is_a_guess(tmp_path):
+    path, _ = written(tmp_path, swing())
+    low, high = load_scene(path).unknowns["bodies.body.material.elastic.fixed_corotated.youngs_modulus"].bounds
+    assert high / low == pytest.approx(2500, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (Given([0.1, 0.02]), "--size has 2 numbers, but the recording has 3 axes"),
+        (Given(corner=[0.1]), "--corner has 1 numbers, but the recording has 3 axes"),
+        (Given([0.1, 0.02, 0.0]), "--size: takes numbers above 0, lengths in m"),
+        (Given(density=float("nan")), "--density: takes numbers above 0"),
+        (Given([0.1, 0.02, 0.02], clamp=0.1), "--clamp 0.1: nothing of a body of 0.1 m would be free"),
+    ],
+)
+def test_numbers_that_do_not_fit_are_refused(tmp_path, given, message):
+    with pytest.raises(UsageError, match=message):
+        fit_scene_of(tmp_path, swing(), given)
+
+
+def fit_scene_of(folder: Path, recording: Recording, given: Given) -> None:
+    write_csv(recording, folder / "swing.csv")
+    fit_scene(folder / "swing.csv", folder / "fit.yaml", given=given)
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"there are no recordings in {REAL}")

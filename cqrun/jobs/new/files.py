@@ -12,6 +12,8 @@ from pathlib import Path
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
 from cqrun.jobs.new.fit_scene import fit_scene, text_of
+from cqrun.jobs.new.lengths import Given
+from cqrun.jobs.new.proposal import NOTHING
 from cqrun.plugin.registry import FOLDERS, plugins
 from cqrun.scene.data import Recording
 from cqrun.scene.material import Material
@@ -63,15 +65,18 @@ def new_scene(kind: str, scene: Path, *, overwrite: bool = False) -> Written:
     return Written(_write(files, overwrite), _validate(scene))
 
 
-def new_fit(markers: Path, scene: Path, units: str | None = None, *, overwrite: bool = False) -> Written:
+def new_fit(
+    markers: Path, scene: Path, units: str | None = None, given: Given = NOTHING, *, overwrite: bool = False
+) -> Written:
     """Write a scene that is fitted to a recording of markers; arguments as `fit_scene`.
 
     Raises:
-        UsageError: the name is none for a scene, or a file is there already. DataError: the recording cannot be used.
+        UsageError: the name is none for a scene, a file is there already, or what is given does not fit the recording.
+        DataError: the recording cannot be used.
     """
     scene = _scene_file(scene)
     _require_free([scene], overwrite)
-    proposed = fit_scene(markers, scene, units)
+    proposed = fit_scene(markers, scene, units, given)
     return Written(_write({scene: proposed.text}, overwrite), _validate(scene), proposed.found, proposed.guesses)
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from cqrun.characters import printable
 from cqrun.errors import DataError
 from cqrun.explain import listed
-from cqrun.jobs.new.proposal import DECADE, DENSITY, MILLI, PER_CELL, POISSON, Proposal, propose, unit_guess
+from cqrun.jobs.new.lengths import PER_CELL, Given
+from cqrun.jobs.new.proposal import DECADE, DENSITY, MILLI, NOTHING, POISSON, Proposal, propose, unit_guess
 from cqrun.jobs.new.seen import Seen, look
 from cqrun.measurements.recording import Recording
 from cqrun.plugin.contract import Array
@@ -47,21 +48,22 @@ class FitScene:
     guesses: tuple[str, ...]
 
 
-def fit_scene(file: Path, scene: Path, units: str | None = None) -> FitScene:
+def fit_scene(file: Path, scene: Path, units: str | None = None, given: Given = NOTHING) -> FitScene:
     """Return a scene for a recording.
 
     Args:
         file: the recording, in any format that `read_recording` reads.
         scene: where the scene will be, which names the file from there.
         units: length unit of the file; if absent the one that it states, or else a guess.
+        given: what is known of the body.
 
     Raises:
-        DataError: the recording cannot be read, or shows too little.
+        DataError: the recording cannot be read, or shows too little. UsageError: what is given does not fit it.
     """
     recording, unit, guessed = _read(file, units)
     for most in MARKERS:  # fewer if their names are long
-        seen = look(recording, most)
-        proposal = propose(seen)
+        seen = look(recording, most, given.fewest)
+        proposal = propose(seen, given)
         if guessed:
             apart = MILLI * float(np.max(np.ptp(seen.rest, axis=0)))
             proposal.guesses["units"] = (
@@ -71,8 +73,9 @@ def fit_scene(file: Path, scene: Path, units: str | None = None) -> FitScene:
         if len(lines) <= MOST_LINES:
             break
     order = ("units", "gravity", "body", "clamp", "density", "stiffness", "start")
-    proposal.guesses["density"] = f"{DENSITY:g} kg/m^3, that of silicone rubber, and a Poisson's ratio of {POISSON}"
-    return FitScene("\n".join(lines) + "\n", tuple(_found(seen)), tuple(
+    rubber = f"{DENSITY:g} kg/m^3, that of silicone rubber, and " if given.density is None else ""
+    proposal.guesses["density"] = f"{rubber}a Poisson's ratio of {POISSON}"
+    return FitScene("\n".join(lines) + "\n", tuple(_found(seen, proposal)), tuple(
         proposal.guesses[name] for name in order if name in proposal.guesses
     ))  # fmt: skip
 
@@ -95,15 +98,17 @@ def _read(file: Path, units: str | None) -> tuple[Recording, str, bool]:
     return recording, "m", not stated and file.suffix.lower() not in SAY_IT
 
 
-def _found(seen: Seen) -> Iterator[str]:
+def _found(seen: Seen, p: Proposal) -> Iterator[str]:
     """Yield what was found in a recording."""
-    yield f"{len(seen.names)} markers: {listed(map(printable, seen.names), 8)}"
+    yield f"{len(seen.names)} marker{'s' * (len(seen.names) != 1)}: {listed(map(printable, seen.names), 8)}"
     if seen.left_out:
         yield f"not used: {listed(seen.left_out, 6)}"
     rests = listed([f"{begin:.4g} to {end:.4g} s" for begin, end in seen.rests], 6)
     yield f"all markers at rest: {rests if seen.rests else 'never'}"
     if seen.period is not None:
         yield f"rhythm of the motion: {1.0 / seen.period:.3g} Hz"
+    if p.shift.any():
+        yield f"a world begins at 0, so the scene adds {_vector(p.shift, 6)} m to the positions of the file"
 
 
 # --- text -------------------------------------------------------------------------------------------------------
@@ -116,6 +121,7 @@ def _lines(p: Proposal, file: Path, scene: Path, unit: str | None) -> Iterator[s
     yield "# check it, and put your own numbers there. Lengths are in m, times in s, pressures in Pa."
     yield f"#   cqrun validate {printable(scene.name)}     # checks the scene"
     yield f"#   cqrun sysid {printable(scene.name)}        # finds the unknowns, with intervals"
+    yield "#   cqrun describe elastic      # lists the laws"
     yield "cqrun: 1"
     yield f"title: {text_of(f'a fit to {printable(file.name)}')}"
     yield "job: sysid"
@@ -123,16 +129,18 @@ def _lines(p: Proposal, file: Path, scene: Path, unit: str | None) -> Iterator[s
     yield f"world: {{size: {_vector(p.world, digits)}, dx: {p.dx:g}, gravity: {_vector(p.gravity, 4)}}}"
     yield "bodies:"
     yield "  body:"
-    yield f"    # guess: {p.guesses['body']}"
+    if "body" in p.guesses:
+        yield f"    # guess: {p.guesses['body']}"
     yield f"    shape: {{box: {{corner: {_vector(p.corner, digits)}, size: {_vector(p.size, digits)}}}}}"
     yield f"    particles_per_cell: {PER_CELL[len(p.size)]}"
     yield "    material:"
-    yield f"      density: {DENSITY:g}   # guess: silicone rubber"
+    yield f"      density: {p.density:g}" + ("   # guess: silicone rubber" if p.density == DENSITY else "")
     yield f"      # guess: {p.guesses['stiffness']}"
     yield f"      elastic: {{fixed_corotated: {{youngs_modulus: {_number(p.modulus)}, poissons_ratio: {POISSON}}}}}"
     yield f"      viscosity: {{shear: {_number(p.viscosity)}}}"
     yield "boundaries:"
-    yield f"  # guess: {p.guesses['clamp']}"
+    if "clamp" in p.guesses:
+        yield f"  # guess: {p.guesses['clamp']}"
     corner, size = (_vector(x, digits) for x in p.clamp)
     yield f"  clamp: {{sticky: {{region: {{box: {{corner: {corner}, size: {size}}}}}}}}}"
     yield "loads:"
@@ -167,7 +175,7 @@ def _data(p: Proposal, file: Path, scene: Path, unit: str | None, digits: int) -
 def _unknowns(p: Proposal, recording: str) -> Iterator[str]:
     """Yield the section with what is fitted."""
     bounds = {
-        LAW: (p.modulus / DECADE, p.modulus * DECADE),
+        LAW: (p.modulus / p.reach, p.modulus * p.reach),
         "bodies.body.material.viscosity.shear": (p.viscosity / DECADE**2, p.viscosity * DECADE / 2),
         "loads.air.damping.rate": (0.01, 20.0),
     }

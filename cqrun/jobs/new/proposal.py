@@ -6,10 +6,12 @@ bar along the direction in which its markers are far apart, held at the end that
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from cqrun.jobs.new.lengths import Given, Lengths, body_lengths, nice, world_corners, world_shift
 from cqrun.jobs.new.seen import Seen, names_of
 from cqrun.measurements.recording import Recording
 from cqrun.plugin.contract import Array
@@ -21,25 +23,16 @@ GRAVITY, DENSITY, POISSON = 9.81, 1070.0, 0.45
 SOFT, STIFF, NO_RHYTHM = 1e3, 1e9, 1e5
 """Least and largest Young's modulus that is proposed, and the one if nothing tells it [Pa]."""
 
-DECADE = 10.0
-"""Young's modulus is searched up to this factor from its start; viscosity down to its square, and up to its half."""
+DECADE, UNMEASURED = 10.0, 50.0
+"""Young's modulus is searched up to this factor from its start. It grows with the fourth power of a length, so the
+second factor is for a body whose size is a guess. Viscosity is searched from a hundredth to five times its start."""
 
-LOSS = 0.03
+LOSS = 0.01
 """Viscosity times the circular frequency, as a part of Young's modulus, at the start."""
-
-IN_CLAMP = 3.0
-"""Cells of the body's length that are in the clamp."""
 
 FRAMES, LATE = 3, 0.03
 """Frames by which the run may begin earlier or later, or the part of a period."""
 
-THIN = 0.2
-"""A body is at least so thick, as a part of its length; markers often lie on one face."""
-
-CELLS, PARTICLES = {2: 4.0, 3: 3.0}, 8000
-"""Cells across the thinnest part, and the largest number of particles; with more, cells are larger."""
-
-PER_CELL = {2: 4, 3: 8}
 PERIODS, LONGEST = 8.0, 2.0
 """The motion lasts so many periods, or so long without a rhythm [s]."""
 
@@ -49,11 +42,14 @@ STEPS, MOST_STEPS = 12.0, 400
 CLEAR = 2.0
 """The markers sink along an axis if they move so many times as far along it as along the others."""
 
-NICE = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
 LARGEST_BODY = 10.0
 """Markers that are farther apart are in millimetres [m]."""
 
+ROUNDING = 1e-9
+"""Part of a cell that adds no cell to the world."""
+
 AXES = "xyz"
+NOTHING = Given()
 
 
 @dataclass(frozen=True)
@@ -64,6 +60,7 @@ class Proposal:
         names, places: of the markers (M,), and where they are at rest (M, D).
         corner, size: of the body (D,).
         clamp: corner and size of the region that is held (D,).
+        reach: factor up to which Young's modulus is searched from its start.
         start, starts: when the run begins in the file, and the bounds if that is fitted [s].
         still: frames at rest, which align the file to the markers at rest [s], or None.
         offset: (D,) to be added to the positions of the file, or None if the still frames align them.
@@ -79,7 +76,9 @@ class Proposal:
     world: Array
     dx: float
     gravity: Array
+    density: float
     modulus: float
+    reach: float
     viscosity: float
     duration: float
     control_step: float
@@ -92,37 +91,53 @@ class Proposal:
     guesses: dict[str, str] = field(default_factory=dict)
 
 
-def propose(seen: Seen) -> Proposal:
-    """Return a proposal for a recording."""
+def propose(seen: Seen, given: Given = NOTHING) -> Proposal:
+    """Return a proposal for a recording.
+
+    Raises:
+        UsageError: what is given does not fit the recording.
+    """
+    given.require_fit(seen.rest.shape[1])
     guesses: dict[str, str] = {}
     down, sign, guesses["gravity"] = _down(seen)
     aligned = seen.still is not None and _spans(seen.rest)
-    seen, degrees = _turned(seen, down) if aligned else (seen, 0.0)
-    along, side, guesses["clamp"] = _held_end(seen)
-    low, high, face, dx = _body(seen, along, side)
-    guesses["body"] = (
-        f"the body is a box around the markers, {' x '.join(f'{MILLI * edge:.3g}' for edge in high - low)} mm: measure "
-        f"yours; {MILLI * IN_CLAMP * dx:.3g} mm of its length are in the clamp"
-    )
-    free = float(abs((high if side < 0 else low)[along] - face))
-    modulus, guesses["stiffness"] = _modulus(seen, free, high - low, along)
-    inside, outside = _world(seen, low, high, dx)
-    shift = dx * np.ceil(-inside / dx)
-    world = dx * np.ceil((outside + shift) / dx)
-    begin, end = np.zeros(len(low)), world.copy()
-    (end if side < 0 else begin)[along] = face + shift[along]
+    seen, degrees = _turned(seen, down) if aligned and given.size is None and given.corner is None else (seen, 0.0)
+    along, side, guesses["clamp"] = _held_end(seen, given)
+    body = body_lengths(seen, along, side, given)
+    if given.clamp is not None:
+        del guesses["clamp"]
+    guesses.update(_body_guess(body, given))
+    density = DENSITY if given.density is None else given.density
+    free = float(abs((body.high if side < 0 else body.low)[along] - body.face))
+    modulus, guesses["stiffness"] = _modulus(seen, free, body.size, along, density)
+    inside, outside = world_corners(seen, body)
+    shift = world_shift(inside, outside, body.dx)
+    world = body.dx * np.ceil((outside + shift) / body.dx - ROUNDING)
+    begin, end = np.zeros(len(world)), world.copy()
+    (end if side < 0 else begin)[along] = body.face + shift[along]
     control, duration = _times(seen)
     guesses["start"], doubt = _start_guess(seen), max(FRAMES * seen.frame, LATE * (seen.period or 0.0))
     return Proposal(
-        names=seen.names, places=seen.rest + shift, corner=low + shift, size=high - low, clamp=(begin, end - begin),
-        world=world, dx=dx, gravity=sign * GRAVITY * np.eye(len(low))[down], modulus=modulus,
-        viscosity=_nice(LOSS * modulus * (seen.period or 0.2) / (2 * np.pi)), duration=duration, control_step=control,
+        names=seen.names, places=seen.rest + shift, corner=body.low + shift, size=body.size,
+        clamp=(begin, end - begin), world=world, dx=body.dx, gravity=sign * GRAVITY * np.eye(len(world))[down],
+        density=density, modulus=modulus, reach=DECADE if given.size is not None else UNMEASURED,
+        viscosity=nice(LOSS * modulus * (seen.period or 0.2) / (2 * np.pi)), duration=duration, control_step=control,
         start=seen.start, starts=None if seen.still is None else (
             max(seen.start - doubt, seen.still[1]), seen.start + doubt
         ),
-        still=seen.still if aligned else None, offset=None if aligned else shift, shift=shift, degrees=degrees,
-        guesses=guesses,
+        still=seen.still if aligned else None, offset=None if aligned or not shift.any() else shift, shift=shift,
+        degrees=degrees, guesses=guesses,
     )  # fmt: skip
+
+
+def _body_guess(body: Lengths, given: Given) -> Iterator[tuple[str, str]]:
+    """Yield what is a guess of the body, by the name of the line that says so."""
+    size = " x ".join(f"{MILLI * edge:.3g}" for edge in body.size)
+    if given.size is None:
+        where = "a box around the markers" if given.corner is None else "a box from your corner on to the markers"
+        yield "body", f"the body is {where}, {size} mm: measure yours, and give it with --size"
+    elif given.corner is None:
+        yield "body", "the free end of the body is where its last markers are, and across it they are in the middle"
 
 
 def unit_guess(recording: Recording) -> str | None:
@@ -177,9 +192,11 @@ def _turned(seen: Seen, down: int) -> tuple[Seen, float]:
     return seen.turned(rotation(best)), best
 
 
-def _held_end(seen: Seen) -> tuple[int, int, str]:
+def _held_end(seen: Seen, given: Given) -> tuple[int, int, str]:
     """Return the axis of a body, at which end it is held (-1 or 1), and the reason."""
     held, extent = seen.held, np.ptp(seen.rest, axis=0)
+    if len(seen.rest) == 1:
+        return _end_away_from(seen.rest[0], given)
     if held.any():
         apart = seen.rest[~held].mean(axis=0) - seen.rest[held].mean(axis=0)
         axis = int(np.argmax(np.abs(apart)))
@@ -192,62 +209,20 @@ def _held_end(seen: Seen) -> tuple[int, int, str]:
     return axis, -1 if slopes[axis] >= 0 else 1, "the body is held at the end that moves least; no marker stands still"
 
 
-# --- lengths ----------------------------------------------------------------------------------------------------
-
-
-def _box(rest: Array) -> tuple[Array, Array]:
-    """Return the corners (D,) of a box around markers (M, D), which is not too thin."""
-    low, high = rest.min(axis=0), rest.max(axis=0)
-    lack = np.maximum(THIN * float(np.max(high - low)) - (high - low), 0.0)
-    return low - 0.5 * lack, high + 0.5 * lack
-
-
-def _body(seen: Seen, along: int, side: int) -> tuple[Array, Array, float, float]:
-    """Return the corners of the body (D,), where its clamp ends along its length, and the edge of the cells [m].
-
-    The edges of the body are multiples of the distance between particles.
-    """
-    low, high = _box(seen.rest)
-    dx = _cell(high - low)
-    face = float((low if side < 0 else high)[along])
-    if seen.held.any():
-        held = seen.rest[seen.held][:, along]
-        face = float(held.max() if side < 0 else held.min())
-    (low if side < 0 else high)[along] = face + side * IN_CLAMP * dx
-    spacing = dx / 2  # of 4 particles per cell in 2D, and 8 in 3D
-    more = spacing * np.maximum(np.round((high - low) / spacing), 2) - (high - low)
-    shares = np.full(len(low), 0.5)
-    shares[along] = 1.0 if side < 0 else 0.0  # the free end stays where its markers are
-    return low - shares * more, high + (1.0 - shares) * more, face, dx
-
-
-def _cell(size: Array) -> float:
-    """Return the edge of the cells for a body of a size (D,) [m]."""
-    dim = len(size)
-    dx = min(float(size.min()) / CELLS[dim], float(size.max()) / 8.0)
-    fewest = (float(np.prod(size)) * PER_CELL[dim] / PARTICLES) ** (1.0 / dim)
-    return _nice(max(dx, fewest), up=fewest > dx)
-
-
-def _world(seen: Seen, low: Array, high: Array, dx: float) -> tuple[Array, Array]:
-    """Return the corners (D,) of a world in which the body can move half as far again as its markers do."""
-    least, most = np.nanmin(seen.positions, axis=(0, 1)), np.nanmax(seen.positions, axis=(0, 1))
-    room = 3.0 * dx + 0.5 * (most - least - np.ptp(seen.rest, axis=0)).clip(min=0.0)
-    return np.minimum(low, least) - room, np.maximum(high, most) + room
-
-
-def _nice(number: float, *, up: bool = False) -> float:
-    """Return a number with few digits that is not larger, or with `up` not smaller."""
-    power = 10.0 ** np.floor(np.log10(number))
-    steps = [float(f"{power * step:.3g}") for step in (*NICE, 10.0)]
-    slack = 1e-6 * number
-    return min(s for s in steps if s >= number - slack) if up else max(s for s in steps if s <= number + slack)
+def _end_away_from(marker: Array, given: Given) -> tuple[int, int, str]:
+    """Return along which axis a body of a given size is held, and at which end, from where its only marker is (D,)."""
+    size = np.asarray(given.size, float)
+    axis = int(np.argmax(size))
+    if given.corner is None:
+        return axis, -1, f"the body is held at its end of smaller {AXES[axis]}; a single marker does not tell"
+    side = -1 if marker[axis] > given.corner[axis] + 0.5 * size[axis] else 1
+    return axis, side, "the body is held at the end that is far from its only marker"
 
 
 # --- stiffness and times ----------------------------------------------------------------------------------------
 
 
-def _modulus(seen: Seen, free: float, size: Array, along: int) -> tuple[float, str]:
+def _modulus(seen: Seen, free: float, size: Array, along: int, density: float) -> tuple[float, str]:
     """Return a Young's modulus [Pa] with which the body has the rhythm of the markers, and the reason.
 
     The first frequency of a clamped beam is 1.875^2 / (2 pi) sqrt(E h^2 / (12 rho L^4)), and that of a bar that is
@@ -260,9 +235,9 @@ def _modulus(seen: Seen, free: float, size: Array, along: int) -> tuple[float, s
         )
     swing = int(np.argmax(np.nanmax(np.nanstd(seen.positions, axis=0), axis=0)))
     if swing == along:
-        modulus = DENSITY * (4.0 * free / seen.period) ** 2
+        modulus = density * (4.0 * free / seen.period) ** 2
     else:
-        modulus = 12.0 * DENSITY / float(size[swing]) ** 2 * (2 * np.pi * free**2 / (1.875**2 * seen.period)) ** 2
+        modulus = 12.0 * density / float(size[swing]) ** 2 * (2 * np.pi * free**2 / (1.875**2 * seen.period)) ** 2
     modulus = float(f"{np.clip(modulus, SOFT, STIFF):.2g}")
     kind = "bar" if swing == along else "beam"
     rate = 1.0 / seen.period
@@ -275,8 +250,8 @@ def _times(seen: Seen) -> tuple[float, float]:
     later = [begin for begin, _ in seen.rests if begin > seen.start]
     wanted = PERIODS * seen.period if seen.period else min(LONGEST, (later[0] if later else np.inf) - seen.start)
     duration = max(min(wanted, end - seen.start - 2 * seen.frame), 2 * seen.frame)
-    control = _nice(min((seen.period or duration) / STEPS, duration / 2))
-    control = max(control, _nice(duration / MOST_STEPS, up=True))
+    control = nice(min((seen.period or duration) / STEPS, duration / 2))
+    control = max(control, nice(duration / MOST_STEPS, up=True))
     return control, control * max(1, int(duration / control + 1e-9))
 
 

@@ -84,14 +84,14 @@ class Seen:
         return replace(self, **turned)
 
 
-def look(recording: Recording, most: int = 12) -> Seen:
+def look(recording: Recording, most: int = 12, fewest: int = 2) -> Seen:
     """Return what a recording shows, in at most so many of its markers.
 
     Raises:
-        DataError: fewer than two markers can be used, or nothing moves.
+        DataError: fewer markers than needed can be used, or nothing moves.
     """
     recording, _ = plausible(recording, np.inf, (-np.inf, np.inf))
-    recording, left_out = _chosen(recording, most)
+    recording, left_out = _chosen(recording, most, fewest)
     step = -(-len(recording.time) // FRAMES)
     time, x = recording.time[::step], recording.positions[::step]
     reach = float(np.max(_travel(x)))
@@ -115,7 +115,7 @@ def look(recording: Recording, most: int = 12) -> Seen:
 # --- markers ----------------------------------------------------------------------------------------------------
 
 
-def _chosen(recording: Recording, most: int) -> tuple[Recording, tuple[str, ...]]:
+def _chosen(recording: Recording, most: int, fewest: int) -> tuple[Recording, tuple[str, ...]]:
     """Return a recording of the markers that can be used, and the others with the reasons."""
     names, share = recording.names, recording.seen().mean(axis=0)
     reasons = {
@@ -127,10 +127,11 @@ def _chosen(recording: Recording, most: int) -> tuple[Recording, tuple[str, ...]
     }
     out = dict.fromkeys(k for bad in reasons.values() for k in bad)
     usable = [k for k in range(len(names)) if k not in out]
-    if len(usable) < 2:
+    if len(usable) < fewest:
+        way_out = "; or give the edges of the body with --size" if usable else ""
         raise DataError(
             f"{recording.source}: {len(usable)} of its {len(names)} markers can be used, and a body cannot be guessed "
-            "from fewer than 2: a marker needs a name of its own, and to be seen in half of the frames"
+            f"from fewer than {fewest}: a marker needs a name of its own, and to be seen in half of the frames{way_out}"
         )
     kept = _spread([float(share[k]) for k in usable], recording.positions[:, usable], usable, most)
     left_out = [f"{printable(names[k])} ({why})" for why, bad in reasons.items() for k in bad]
