@@ -16,6 +16,7 @@ from cqrun.build.regions import BodyPoints, boundary
 from cqrun.errors import Problem, UsageError
 from cqrun.geometry.file_shape import FileShape
 from cqrun.geometry.half_space import HalfSpace
+from cqrun.geometry.lattice import whole_spacing
 from cqrun.geometry.place import Place
 from cqrun.geometry.region import Region
 from cqrun.geometry.shape import Shape, cell_centres, counted_volume, finite_bounds
@@ -261,7 +262,7 @@ def volume_errors(scene: Scene, points: Points, volumes: Mapping[str, Array]) ->
     """
     for name, body in scene.bodies.items():
         scale = (body.place or Place()).scale
-        spacing = body.particle_spacing(scene.world.dx)
+        spacing, per_cell = body.particle_spacing(scene.world.dx), body.particles_per_cell
         for k, (path, shape) in enumerate(body.pieces.items()) if not body.unit_mass else ():
             particle_volumes = volumes[name][points[name].piece == k]
             lower, upper = finite_bounds(shape)
@@ -277,7 +278,7 @@ def volume_errors(scene: Scene, points: Points, volumes: Mapping[str, Array]) ->
                     "does its mass: "
                 )
                 yield _problem(
-                    scene, f"bodies.{name}.{path}", message + _volume_advice(scale * (upper - lower), spacing)
+                    scene, f"bodies.{name}.{path}", message + _volume_advice(scale * (upper - lower), spacing, per_cell)
                 )
 
 
@@ -290,8 +291,8 @@ def _chance(count: int, dim: int) -> float:
     return N_DEVIATIONS * float(np.sqrt(at_surface / 12)) / max(1, count)
 
 
-def _volume_advice(size: Array, spacing: float | None) -> str:
-    """Return how to make particles fill a shape of a size (D,) [m]."""
+def _volume_advice(size: Array, spacing: float | None, per_cell: float | None) -> str:
+    """Return how to make particles fill a shape of a size (D,) [m], so many of which are in a cell."""
     if spacing is None:
         return "give another count, or `sampling: {random: {count: ...}}`, whose particles share the shape's volume"
     rows = size / spacing
@@ -300,8 +301,18 @@ def _volume_advice(size: Array, spacing: float | None) -> str:
         return "give a smaller spacing, or `sampling: {random: {count: ...}}`, whose particles share the shape's volume"
     return (
         f"{' and '.join(odd)} {'is not a multiple' if len(odd) == 1 else 'are not multiples'} of the spacing of "
-        f"{spacing:.6g} m; give a size that is one, another spacing, or `sampling: {{lattice: {{count: ...}}}}`"
+        f"{spacing:.6g} m; give a size that is one, {_other_spacing(size, spacing, per_cell)}, or "
+        "`sampling: {lattice: {count: ...}}`"
     )
+
+
+def _other_spacing(size: Array, spacing: float, per_cell: float | None) -> str:
+    """Return which spacing, or which dx, makes edges (D,) whole numbers of particles."""
+    cell = 1.0 if per_cell is None else per_cell ** (1 / len(size))
+    whole = whole_spacing(size, spacing, cell)
+    if whole is None:
+        return "another spacing"
+    return f"a spacing of {whole:.6g} m" if per_cell is None else f"a dx of {cell * whole:.6g} m"
 
 
 def walls_outside(scene: Scene) -> Iterator[Problem]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import ceil
 from typing import Self
 
 import numpy as np
@@ -61,3 +62,28 @@ class Lattice(Sampling):
         points = cell_centres(lower, size, np.full(dim, self.count))
         points = points[shape.inside(points)]
         return points, np.full(len(points), np.prod(size))
+
+
+WHOLE = 1e-3
+"""An edge is a multiple of a spacing to this part of the spacing."""
+
+
+def whole_spacing(size: Array, about: float, factor: float = 1.0, within: float = 1.4) -> float | None:
+    """Return the spacing near another of which every edge of a box is a multiple [m]; None if there is none.
+
+    Args:
+        size: edges of the box (D,) [m].
+        about: the other spacing [m].
+        factor: multiple of the spacing, such as the edge of a cell, which should have few digits.
+        within: ratio of the two spacings, at most.
+    """
+    least = float(np.min(size))
+    most = range(max(1, ceil(least / (about * within))), int(least * within / about) + 1)
+    spacings = [least / n for n in most]
+    whole = [s for s in spacings if np.all(np.abs(size / s - np.round(size / s)) < WHOLE)]
+    return min(whole, key=lambda s: (_digits(factor * s), abs(np.log(s / about))), default=None)
+
+
+def _digits(number: float) -> int:
+    """Return the number of digits of a number, up to six."""
+    return len(f"{number:.5e}".split("e")[0].rstrip("0").replace(".", ""))

@@ -145,7 +145,12 @@ def test_particles_with_another_volume_than_their_shape_are_a_warning() -> None:
         "bodies.right.shape: its particles have a volume of 0.006 m^2, which differs by +20.0% from the 0.005"
         in message
     )
-    assert "0.025 m along y is not a multiple of the spacing of 0.01 m; give a size that is one, another" in message
+    assert "0.025 m along y is not a multiple of the spacing of 0.01 m; give a size that is one, a spacing" in message
+    assert "0.0125 m" in message  # of which 0.2 and 0.025 m are multiples
+    (message,) = volume_warnings(shape=thin, spacing=None, particles_per_cell=4)
+    assert "give a size that is one, a dx of 0.025 m, or" in message
+    odd = {"box": {"corner": [0.5, 0.45], "size": [0.2, 0.02718]}}
+    assert "give a size that is one, another spacing, or" in volume_warnings(shape=odd)[0]
     small = {"corner": [0, 0], "size": [0.4, 0.05]}
     assert "+20.0%" in volume_warnings(shape={"box": small}, place={"scale": 0.5, "offset": [0.5, 0.45]})[0]
     assert volume_warnings(shape=thin, unit_mass=True) == []

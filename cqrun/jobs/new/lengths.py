@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cqrun.errors import UsageError
+from cqrun.geometry.lattice import whole_spacing
 from cqrun.jobs.new.seen import Seen
 from cqrun.plugin.contract import Array
 
@@ -22,9 +23,6 @@ CELLS, PARTICLES = {2: 4.0, 3: 3.0}, 8000
 
 PER_CELL, PER_AXIS = {2: 4, 3: 8}, 2
 """Particles in a cell, and along each of its edges."""
-
-WHOLE, FINEST = 1e-3, 0.6
-"""A measured edge is a multiple of the particles' distance to this part of it; cells may shrink so much for that."""
 
 NICE = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
 
@@ -147,10 +145,8 @@ def _cell(size: Array) -> float:
 def _whole_cell(size: Array) -> float:
     """Return an edge of cells near that of `_cell`, with which every edge (D,) is a whole number of particles."""
     about = _cell(size)
-    particles = range(2, 200)  # across the thinnest edge
-    spacings = [float(f"{size.min() / n:.6g}") for n in particles if FINEST * about <= PER_AXIS * size.min() / n]
-    fit = [s for s in spacings if np.allclose(size / s, np.round(size / s), rtol=0.0, atol=WHOLE * size.max() / s)]
-    return min((PER_AXIS * s for s in fit), key=lambda dx: abs(np.log(dx / about)), default=about)
+    spacing = whole_spacing(size, about / PER_AXIS, PER_AXIS)
+    return about if spacing is None else float(f"{PER_AXIS * spacing:.6g}")
 
 
 def world_corners(seen: Seen, body: Lengths) -> tuple[Array, Array]:

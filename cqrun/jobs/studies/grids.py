@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
-from itertools import pairwise
+from itertools import groupby, pairwise
 from math import ceil
 
 import numpy as np
 
 from cqrun.build.check_grid import nearest_nodes
+from cqrun.build.check_holds import reached_nodes
 from cqrun.build.model import Built
+from cqrun.engine.reference.held import held_at
 from cqrun.errors import UsageError
 from cqrun.explain import listed
 from cqrun.plugin.contract import Array
@@ -222,15 +224,29 @@ def _differs(
 
 
 def _held(built: Built) -> dict[str, tuple[Array, int]]:
-    """Return the nodes that each boundary with a region holds among the bodies' own (n, D) [m], and its particles."""
+    """Return the nodes that each boundary with a region holds among the bodies' own (n, D) [m], and its particles.
+
+    In the reference frame a body's grid lies on the faces of its clamps, and its nodes are counted, not its particles.
+    """
+    if built.scene.world.frame == "reference":
+        return dict(_held_at_rest(built))
     near = nearest_nodes(built.particles.x, built.model.grid_shape, built.model.dx)
     held = {}
     for condition in built.model.conditions:
-        if condition.spec.region is not None and not (built.model.surface is not None and condition.spec.is_obstacle):
+        if condition.spec.region is not None:
             nodes = condition.nodes[near]
             x = np.round(built.particles.x[nodes] / built.model.dx) * built.model.dx
             held[f"boundaries.{condition.name}"] = x, int(nodes.sum())
     return held
+
+
+def _held_at_rest(built: Built) -> Iterator[tuple[str, tuple[Array, int]]]:
+    """Yield what each boundary of the reference frame holds, in all its planes, by its path."""
+    reached = reached_nodes(built.scene, built.particles).X
+    holds = [c for c in built.model.conditions if c.spec.region is not None and not c.spec.is_obstacle]
+    for name, planes in groupby(holds, key=lambda condition: condition.name):
+        x = reached[held_at(list(planes), reached, np.array(built.scene.world.size)).bits != 0]
+        yield f"boundaries.{name}", (x, len(x))
 
 
 def _moved_edge(

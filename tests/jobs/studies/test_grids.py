@@ -158,14 +158,26 @@ def test_a_body_whose_mass_differs():
     assert told[0].startswith("the mass of 'beam' is 3 kg/m, 3.2 kg/m on the grids")
 
 
+UPDATED = SCENE | {"world": SCENE["world"] | {"frame": "updated"}}
+
+
 def test_a_clamp_whose_end_moves():
     clamp = {"clamp": {"sticky": {"region": {"box": {"corner": [0, 0], "size": [0.047, 0.2]}}}}}
-    (told,) = differences(on_grids(SCENE | {"boundaries": clamp}, 0.01, 0.01 / 1.5))
+    (told,) = differences(on_grids(UPDATED | {"boundaries": clamp}, 0.01, 0.01 / 1.5))
     assert told.startswith("boundaries.clamp holds nodes up to 0.0066667 m farther on one grid than on the other")
     assert "put its faces on nodes of both grids" in told
 
 
+def test_in_the_reference_frame_a_clamp_ends_at_its_face_on_every_grid():
+    clamp = {"clamp": {"sticky": {"region": {"box": {"corner": [0, 0], "size": [0.047, 0.2]}}}}}
+    data = SCENE | {"boundaries": clamp, "world": SCENE["world"] | {"frame": "reference"}}
+    assert list(differences(on_grids(data, 0.01, 0.01 / 1.5))) == []
+    clamp["second"] = {"sticky": {"region": {"box": {"corner": [0.113, 0], "size": [0.1, 0.2]}}}}  # 6.6 and 9.9 cells
+    told = list(differences(on_grids(data, 0.01, 0.01 / 1.5)))
+    assert any(text.startswith("boundaries.second holds nodes up to ") for text in told)
+
+
 def test_a_clamp_that_holds_a_body_on_one_grid_alone():
     clamp = {"clamp": {"sticky": {"region": {"box": {"corner": [0, 0], "size": [0.0225, 0.2]}}}}}
-    told = list(differences(on_grids(SCENE | {"boundaries": clamp}, 0.0125, 0.005)))
+    told = list(differences(on_grids(UPDATED | {"boundaries": clamp}, 0.0125, 0.005)))
     assert any(text.startswith("boundaries.clamp holds") and "none with cells of 0.0125 m" in text for text in told)
