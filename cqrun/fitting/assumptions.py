@@ -28,6 +28,9 @@ RATIO, PART = 0.1, 0.1
 ROUNDING = 1e-6
 """Relative error of a thickness in cells."""
 
+SLOW, ENOUGH = 0.8, 20
+"""Errors are told to be no noise if so much of their square changes slowly, in at least so many pairs of frames."""
+
 INWARD = 0.01
 """Distance from its bound at which the effect of an unknown is tested, in scaled coordinates."""
 
@@ -126,6 +129,30 @@ def _does_nothing(problem: FitProblem, x: Array, k: int) -> bool:
     except TrialFailed:
         return False
     return float(np.linalg.norm(there - here)) <= FLAT * float(np.linalg.norm(here))
+
+
+def of_slow_errors(problem: FitProblem, residuals: Array) -> Iterator[str]:
+    """Yield a sentence about each recording whose errors change slowly, as those of a model do and noise does not.
+
+    Noise that is new in every frame has differences whose mean square is twice its own (von Neumann 1941).
+    """
+    if problem.cases[0].built.scene.synthetic is not None:
+        return
+    series, names = problem.series(), [case.name for case in problem.cases for _ in case.comparisons]
+    for number, name in enumerate(names):
+        square = difference = pairs = 0.0
+        for each in (s for s in series if s.recording == number):
+            errors, next_to = residuals[each.where], np.diff(each.frames) == 1
+            square += float(np.sum(0.5 * (errors[1:] ** 2 + errors[:-1] ** 2)[next_to]))
+            difference += float(np.sum((np.diff(errors) ** 2)[next_to]))
+            pairs += int(next_to.sum())
+        if pairs >= ENOUGH and 0.5 * difference < (1.0 - SLOW) * square:
+            slow = 1.0 - 0.5 * difference / square
+            yield (
+                f"{name}: {slow:.0%} of its squared error changes slowly from frame to frame, so it is not noise: the "
+                "model cannot follow the data there (its grid, law, clamp, or the calibration). The interval takes it "
+                "for chance, and another model may give a value outside; `--resolution` shows what the grid does"
+            )
 
 
 def of_the_substep(

@@ -95,7 +95,8 @@ def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -
         _no_intervals(result, str(reason))
         result.findings += assumptions.without_intervals(held)
         return
-    uncertainty = intervals(jacobian, problem.residuals(outcome.x), problem.series(), unknowns)
+    residuals = problem.residuals(outcome.x)
+    uncertainty = intervals(jacobian, residuals, problem.series(), unknowns)
     for block in problem.params.blocks:
         names = _names(block)
         entry = result.unknowns[block.path]
@@ -109,6 +110,7 @@ def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -
             entry.reason = "; ".join(dict.fromkeys(reasons.values()))
     at_optimum = problem, outcome.x, jacobian, unknowns, uncertainty
     result.findings += uncertainty.findings
+    result.findings += assumptions.of_slow_errors(problem, residuals)
     result.findings += assumptions.of_the_substep(*at_optimum)
     result.held = assumptions.effects_of_held(*at_optimum, held)
     result.findings += assumptions.of_held_numbers(result.held, unknowns, uncertainty)

@@ -10,7 +10,8 @@ import pytest
 from small_beam import E_PATH, SHEAR_PATH, changed, record, recorded, result_of
 
 from cqrun.build.model import build
-from cqrun.fitting.assumptions import _thin_on_the_grid, of_the_substep
+from cqrun.fitting.assumptions import _thin_on_the_grid, of_slow_errors, of_the_substep
+from cqrun.fitting.uncertainty import Series
 from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.table import report_lines
 from cqrun.scene.load import load_scene
@@ -143,3 +144,25 @@ def test_half_the_substep_is_run_in_the_updated_frame_alone():
     assert told("reference") == []
     with pytest.raises(AssertionError, match="ran"):
         told("updated")
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_errors_that_are_no_noise_are_told(slow, rng):
+    """White noise is not told, and neither is noise beside an error of half its square."""
+    frames = np.arange(200)
+    noise = rng.normal(size=(3, 200))
+    wave = np.sin(frames / 15.0) * (3.0 if slow else 1.0)
+    residuals = (noise + wave).ravel()
+    series = [Series(200 * k + frames, frames, recording=0) for k in range(3)]
+    case = SimpleNamespace(
+        name="swing", comparisons=[None], built=SimpleNamespace(scene=SimpleNamespace(synthetic=None))
+    )
+    problem = SimpleNamespace(cases=[case], series=lambda: series)
+    told = list(of_slow_errors(problem, residuals))
+    assert len(told) == slow
+    if slow:
+        assert told[0].startswith("swing: 8")
+        assert "of its squared error changes slowly from frame to frame, so it is not noise" in told[0]
+    every_other = [Series(200 * k + frames, 2 * frames, recording=0) for k in range(3)]
+    problem.series = lambda: every_other  # no two frames are neighbours: nothing is known
+    assert list(of_slow_errors(problem, residuals)) == []
