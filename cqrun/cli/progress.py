@@ -1,6 +1,7 @@
 """Show progress on standard error: one live line on a terminal, or else a plain line from time to time.
 
 Whatever the work does, something is said every few seconds: a live line shows the time, and a plain one is repeated.
+A plain line begins with the time of day, as in a log; warnings do not, because programs look for their places.
 Results are printed on standard output by other modules. Colours follow NO_COLOR.
 """
 
@@ -150,11 +151,13 @@ class Progress:
 
     def warn(self, text: str) -> None:
         """Print a warning, even when quiet."""
-        self._print(f"warning: {text}", style="yellow")
-
-    def _print(self, text: str, style: str | None = None) -> None:
         self._last_line = time.monotonic()
-        self._console.print(harmless(text), style=style, markup=False)
+        self._console.print(harmless(f"warning: {text}"), style="yellow", markup=False)
+
+    def _print(self, text: str) -> None:
+        self._last_line = time.monotonic()
+        now = "" if self._console.is_terminal else time.strftime("%H:%M:%S  ")
+        self._console.print(f"{now}{harmless(text)}", markup=False)
 
     def _break_silences(self) -> None:
         """Repeat what is being done when nothing has been printed for a while, until the work ends."""

@@ -155,6 +155,26 @@ def of_slow_errors(problem: FitProblem, residuals: Array) -> Iterator[str]:
             )
 
 
+def of_plane_strain(problem: FitProblem, unknowns: Sequence[Unknown]) -> Iterator[str]:
+    """Yield a sentence about each Young's modulus that a 2D scene finds from measured data.
+
+    In plane strain a beam bends like one of modulus E / (1 - nu^2), and one that is narrow across the plane like E.
+    """
+    scene, found = problem.cases[0].built.scene, {u.name: u.value for u in unknowns}
+    if scene.dim != 2 or scene.synthetic is not None:
+        return
+    for path, value in found.items():
+        law, _, name = path.rpartition(".")
+        if name == "youngs_modulus":
+            body = scene.bodies[split_own(path)[1].split(".")[1]]
+            ratio = found.get(f"{law}.poissons_ratio", getattr(body.material.elastic.value, "poissons_ratio", 0.0))
+            yield (
+                f"{path}: 2D is plane strain, so it is that of a body which is wide across the plane. A beam that is "
+                f"narrow there bends like this one if its modulus is about {value / (1.0 - ratio**2):.4g} Pa, the "
+                "number here divided by 1 - nu^2"
+            )
+
+
 def of_the_substep(
     problem: FitProblem, x: Array, jacobian: Array, unknowns: Sequence[Unknown], uncertainty: Uncertainty
 ) -> Iterator[str]:

@@ -114,6 +114,7 @@ def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -
     result.findings += assumptions.of_the_substep(*at_optimum)
     result.held = assumptions.effects_of_held(*at_optimum, held)
     result.findings += assumptions.of_held_numbers(result.held, unknowns, uncertainty)
+    result.findings += assumptions.of_plane_strain(problem, unknowns)
 
 
 def _no_intervals(result: SysidResult, reason: str) -> None:

@@ -11,9 +11,10 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from cqrun.build.model import Built
 from cqrun.engine.frames import make_rollout
@@ -25,6 +26,9 @@ from cqrun.running.reporter import Reporter
 
 LASTS = {False: "up to half a minute", True: "one to two minutes"}
 """How long compiling takes on one core, with and without the adjoint."""
+
+FUNCTIONS = {False: 140, True: 220}
+"""About how many functions are compiled for a scene, with and without the adjoint; scenes differ by a few dozen."""
 
 
 def composition(built: Built, *, adjoint: bool) -> str:
@@ -89,7 +93,7 @@ def compile_kernels(scenes: Sequence[Built], reporter: Reporter, *, adjoint: boo
         if not mark_of(words).exists():
             reporter.phase(f"compiling kernels, {LASTS[adjoint]} (once for scenes of this kind: {words})")
         try:
-            with reporter.stop.deferred(False):  # nothing is lost, and it may take minutes
+            with reporter.stop.deferred(False), _told(reporter, adjoint):  # nothing is lost, and it may take minutes
                 _one_substep(built, adjoint)
         except RolloutError:
             continue  # the job fails at its first step as well, and reports it with its values
@@ -98,6 +102,40 @@ def compile_kernels(scenes: Sequence[Built], reporter: Reporter, *, adjoint: boo
     while CACHE_PROBLEMS:
         reporter.warn(CACHE_PROBLEMS.popitem()[0])
     return time.perf_counter() - begin
+
+
+@contextlib.contextmanager
+def _told(reporter: Reporter, adjoint: bool) -> Iterator[None]:
+    """Show what is compiled, and how much of it, while Numba compiles."""
+    from numba.core import event
+
+    listener = _listener(event.Listener, reporter, FUNCTIONS[adjoint])
+    event.register("numba:compile", listener)
+    try:
+        yield
+    finally:
+        event.unregister("numba:compile", listener)
+
+
+def _listener(base: type, reporter: Reporter, total: int) -> Any:
+    """Return what Numba tells of every function that it compiles: it calls others, which it compiles meanwhile."""
+
+    class Listener(base):
+        depth = done = 0
+        kernel = ""
+
+        def on_start(self, told: Any) -> None:
+            if self.depth == 0:
+                self.kernel = told.data["dispatcher"].py_func.__name__.strip("_")
+            self.depth += 1
+
+        def on_end(self, told: Any) -> None:
+            self.depth -= 1
+            self.done += 1
+            whole = max(total, self.done + self.depth)
+            reporter.advance(self.done, whole, f"{self.kernel}: function {self.done} of about {whole}")
+
+    return Listener()
 
 
 def _one_substep(built: Built, adjoint: bool) -> None:

@@ -146,6 +146,14 @@ def test_half_the_substep_is_run_in_the_updated_frame_alone():
         told("updated")
 
 
+def test_a_modulus_of_measured_data_in_2d_comes_with_that_of_a_narrow_beam(fit, tmp_path):
+    (file,) = record(fit, tmp_path / "data")
+    unknowns, told = findings(recorded(fit, {"one": file}), tmp_path)
+    narrow = unknowns[E_PATH]["value"] / (1 - 0.3**2)
+    assert told[-1].startswith(f"{E_PATH}: 2D is plane strain, so it is that of a body which is wide across the plane.")
+    assert f"if its modulus is about {narrow:.4g} Pa" in told[-1]
+
+
 @pytest.mark.parametrize("slow", [False, True])
 def test_errors_that_are_no_noise_are_told(slow, rng):
     """White noise is not told, and neither is noise beside an error of half its square."""

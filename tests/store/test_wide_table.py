@@ -91,6 +91,7 @@ def test_a_marker_that_is_not_named_need_not_be_complete(read):
         ("Frame#,tip_x,tip_y", "numbers of frames and no times"),
         ("clock,tip_x,tip_y", "no column is called 'time', in 'clock,tip_x,tip_y'"),
         ("time (min),tip_x,tip_y", "no column is called 'time'"),
+        ("clock;tip_x;tip_y", "no column is called 'time', in 'clock;tip_x;tip_y'"),  # as the file has it
         ("time,t,tip_x,tip_y", "the columns 'time', 't' are both times: keep one"),
         ("time,tip_x,tip_X", "the columns 'tip_x', 'tip_X' are the same: keep one"),
         ("time,tip_x,tip_z", "marker 'tip' has columns for x, z and not for y: a marker has x and y, or x, y and z"),

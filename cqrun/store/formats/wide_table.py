@@ -83,7 +83,7 @@ def read_wide(path: Path, units: str | None, source: str, names: Sequence[str] |
     found = {place: column for place, cell in enumerate(head) if (column := coordinate(cell)) is not None}
     clock = [place for place, cell in enumerate(head) if _second(cell) is not None]
     if not found or not clock or "marker" in map(str.lower, head):
-        raise DataError(f"{source}{_wrong_header(path, head, bool(found), f':{number}: ')}")
+        raise DataError(f"{source}{_wrong_header(path, head, line, bool(found), f':{number}: ')}")
     if len(clock) > 1:
         raise DataError(f"{source}:{number}: the columns {_quoted(head, clock)} are both times: keep one")
     layout, unit = _layout(found, head, clock[0], names, f"{source}:{number}", source)
@@ -131,11 +131,11 @@ def _layout(
     return Layout(tuple(chosen), used, len(head), clock), next(iter(by_unit))
 
 
-def _wrong_header(path: Path, head: Sequence[str], has_positions: bool, at: str) -> str:
-    """Return what is wrong with a header, and where."""
+def _wrong_header(path: Path, head: Sequence[str], line: str, has_positions: bool, at: str) -> str:
+    """Return what is wrong with a header, which is a line of the file, and where."""
     if other := other_format(path):
         return f": {other}"
-    shown = ",".join(head)[:80]
+    shown = line.strip()[:80]
     if has_positions and "marker" not in map(str.lower, head):
         if any(_FRAME.fullmatch(cell.lower()) for cell in head if len(cell) < LONGEST_NAME):
             return (
