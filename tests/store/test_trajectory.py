@@ -238,3 +238,15 @@ def test_paraview_knows_the_format_by_a_link(tmp_path):
         assert file["VTKHDF/Points"][:].shape == (5, 3)
     pyvista = pytest.importorskip("pyvista")
     assert pyvista.read(moved / "run.vtkhdf").points == pytest.approx(np.array([[1.0, 1.0, 0.0]] * 5))
+
+
+def test_meshio_takes_a_frame(tmp_path):
+    """As the page on files of runs says."""
+    meshio = pytest.importorskip("meshio")
+    path = tmp_path / "run.h5"
+    with TrajectoryWriter(path, 1, {"beam": slice(0, 5)}, 2, {}, {}) as writer:
+        writer.write(0, 0.0, x=np.arange(10.0).reshape(5, 2))
+    x = read_trajectory(path).fields["x"][:]
+    mesh = meshio.Mesh(x[-1], [("vertex", np.arange(x.shape[1])[:, None])])
+    mesh.write(tmp_path / "frame.vtu")
+    assert meshio.read(tmp_path / "frame.vtu").points[:, :2] == pytest.approx(x[-1])
