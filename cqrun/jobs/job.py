@@ -199,6 +199,8 @@ class Job(ABC, Generic[P, R]):
         Raises:
             Stopped: asked to stop. RunError: as `work`.
         """
+        if prepared.built.warnings:  # for its page: they were said before it began
+            run.add_facts(warnings=[str(warning) for warning in prepared.built.warnings])
         with talk.stop.deferred():
             try:
                 self.work(run, prepared, talk)

@@ -23,7 +23,9 @@ ENDS = {
 
 def notices(subject: Subject) -> Iterator[Block]:
     """Yield everything that a reader must not miss."""
-    sentences = [*_of_status(subject), *_of_result(subject)]
+    warnings = subject.run.record.get("warnings")
+    before = warnings if isinstance(warnings, list) else []
+    sentences = [*_of_status(subject), *before, *_of_result(subject)]
     if subject.run.record.get("extended"):
         sentences.append("The run was given more iterations than its scene has (`cqrun resume -o`).")
     if subject.why:

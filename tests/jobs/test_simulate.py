@@ -50,6 +50,11 @@ def test_it_writes_trajectory_observables_and_result(beam, tmp_path):
     assert text.endswith("see observables.csv, trajectory.h5")
 
 
+def test_warnings_before_a_run_are_kept_with_it(beam, tmp_path):
+    (warning,) = read_record(simulate(beam, tmp_path))["warnings"]
+    assert ": bodies.beam.shape: is 1 cell thick at " in warning
+
+
 def test_progress_is_told_by_simulated_time(beam, tmp_path):
     listener = Listener()
     simulate(beam, tmp_path, reporter=listener)

@@ -167,6 +167,14 @@ def test_findings_and_missing_intervals_are_warnings(copied):
     assert page.tags.count("code") > 1
 
 
+def test_what_was_warned_about_before_a_run_is_among_its_warnings(copied):
+    run = copied("simulate")
+    change(run, "run.json", warnings=["beam.yaml:6:5: bodies.beam.shape: is 1 cell thick"])
+    assert "bodies.beam.shape: is 1 cell thick" in read(run, pictures=False).text.partition("Warnings")[2]
+    change(run, "run.json", warnings="damaged")
+    assert "damaged" not in read(run, pictures=False).text
+
+
 @pytest.mark.parametrize(("status", "words"), [("running", "has not ended"), ("failed", "The run failed. Too fast")])
 def test_a_run_without_a_result_says_so(copied, status, words):
     run = copied("sysid")
@@ -194,7 +202,7 @@ def test_a_page_of_a_run_with_many_large_things_stays_small(copied):
     assert file.stat().st_size < 5_000_000
     page = Read(file.read_text())
     assert page.tags.count("img") > 6
-    assert "400 more are in result.json" in page.text
+    assert "401 more are in result.json" in page.text  # of the 100 shown, one was a warning before the run
 
 
 def test_a_picture_that_is_none_is_an_error_about_its_file(copied):
