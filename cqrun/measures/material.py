@@ -1,4 +1,4 @@
-"""Stress and elastic energy of a part of a body, from the law of its material.
+"""Stress, elastic energy and dissipated energy of a part of a body, from the law of its material.
 
 The functions that the kernels use for lanes of particles are called here with arrays: of all particles of a part at
 some moments.
@@ -6,16 +6,17 @@ some moments.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 
 from cqrun.errors import UsageError
-from cqrun.materials.term import energy, energy_vjp, has_energy, has_history, kirchhoff, kirchhoff_vjp
+from cqrun.materials.term import energy, energy_vjp, has_energy, has_history, kirchhoff, kirchhoff_vjp, needs_rate
 from cqrun.measures.measure import AXES, BoundMeasure
 from cqrun.measures.place import OnPart
-from cqrun.numerics.tensor import cofactor, det
+from cqrun.measures.work import accumulated, accumulated_vjp
+from cqrun.numerics.tensor import add, cofactor, det, inner, scale, sub
 from cqrun.objectives.design import VOLUME
 from cqrun.observers.matter import Material, Matter
 from cqrun.observers.rows import single
@@ -51,21 +52,39 @@ class ElasticEnergy(OnPart):
         return StoredEnergy(self, matter)
 
 
+@plugin("measure", "dissipated_energy")
+class DissipatedEnergy(OnPart):
+    """Energy that the viscosity of a part's material has turned into heat since the start [J; 2D: J/m].
+
+    The power, the sum over particles of the volume at rest times tau_v : d, is integrated by the trapezoidal rule over
+    the control steps: the error falls with the square of the control step, so choose one that shows the motion.
+    Damping of the motion (`damping`) and friction are not in it, nor is what the grid of the updated frame takes. It
+    is zero without viscosity, and not known where a material has a history.
+    """
+
+    needs_time: ClassVar[bool] = True
+
+    def bind(self, matter: Matter) -> BoundMeasure:
+        return LostEnergy(self, matter)
+
+
 class OfMaterial(BoundMeasure):
     """Base of quantities of a material: one row for each particle of the part.
 
     Attributes:
         at: positions of the part's particles among the columns of the parameters of the material's terms.
+        elastic: whether it depends on the elastic stress, which averaged volumes change.
     """
 
     instant = False
+    elastic: ClassVar[bool] = True
 
     def __init__(self, spec: OnPart, matter: Matter) -> None:
         self.members = spec.members(matter)
         self.rows = single(self.members, matter.n_particles)
         self.material: Material = matter.materials[spec.body]
         self.at = self.members - self.material.begin
-        if matter.averaged:
+        if matter.averaged and self.elastic:
             raise UsageError(
                 f"the {self.meaning} is not known where volumes are averaged: set `world.volume: local`, or measure a "
                 "strain"
@@ -149,15 +168,23 @@ class MeanStress(OfMaterial):
         return TrackBar(F=F_bar, C=C_bar, terms=self._terms_bar(track, theta_bars))
 
 
-class StoredEnergy(OfMaterial):
-    """Sum of volume at rest times psi."""
+class EnergyOfMaterial(OfMaterial):
+    """Base of energies: sums over the particles of the volume at rest times an energy density."""
 
-    meaning = "elastic energy"
-
-    def __init__(self, spec: ElasticEnergy, matter: Matter) -> None:
+    def __init__(self, spec: OnPart, matter: Matter) -> None:
         super().__init__(spec, matter)
         self.unit = "J" if matter.dim == 3 else "J/m"
         self.room = matter.room[self.members]
+
+    def _volume(self, track: Track) -> Array:
+        """Return the volumes at rest of the part's particles (n,)."""
+        return np.asarray(track.design[VOLUME, self.members] / self.room)
+
+
+class StoredEnergy(EnergyOfMaterial):
+    """Sum of volume at rest times psi."""
+
+    meaning = "elastic energy"
 
     def _require(self, kinds: list[type]) -> None:
         unknown = [kind.__name__.removesuffix("Kernel") for kind in kinds if not has_energy(kind)]
@@ -165,14 +192,14 @@ class StoredEnergy(OfMaterial):
             raise UsageError(f"the energy of {unknown[0]} is not known: its file must call `register_energy`")
 
     def values(self, track: Track) -> Array:
-        out, volume = np.zeros((len(track.F), 1)), track.design[VOLUME, self.members] / self.room
+        out, volume = np.zeros((len(track.F), 1)), self._volume(track)
         for rows, terms, thetas, F, _ in self._pieces(track):
             psi = sum(energy(term, theta, F) for term, theta in zip(terms, thetas, strict=True))
             out[rows, 0] = np.reshape(psi, (-1, len(self.at))) @ volume
         return out
 
     def values_vjp(self, track: Track, bar: Array) -> TrackBar:
-        volume = track.design[VOLUME, self.members] / self.room
+        volume = self._volume(track)
         F_bar, design_bar = np.zeros(track.F.shape), np.zeros(track.design.shape)
         theta_bars = [np.zeros((len(theta), len(self.at))) for theta in track.terms[self.material.group]]
         for rows, terms, thetas, F, _ in self._pieces(track):
@@ -188,12 +215,68 @@ class StoredEnergy(OfMaterial):
         return TrackBar(F=F_bar, design=design_bar, terms=self._terms_bar(track, theta_bars))
 
 
+class LostEnergy(EnergyOfMaterial):
+    """Integral of the volume at rest times tau_v : C, where tau_v = tau(F, C) - tau(F, 0) does work that is lost.
+
+    This holds for every law without a history: its stress at rest is that of its energy. A Kirchhoff stress is
+    symmetric, so tau_v : C is tau_v : d.
+    """
+
+    meaning, cumulative, elastic = "energy dissipated by viscosity", True, False
+
+    def values(self, track: Track) -> Array:
+        power, volume = np.zeros(len(track.F)), self._volume(track)
+        for rows, terms, thetas, F, C in self._pieces(track):
+            tau = _sum(_viscous(term, theta, F, C) for term, theta in zip(terms, thetas, strict=True))
+            power[rows] = inner(tau, C).reshape(-1, len(self.at)) @ volume
+        return accumulated(0.5 * track.control_step * (power[:-1] + power[1:]))
+
+    def values_vjp(self, track: Track, bar: Array) -> TrackBar:
+        step_bar = 0.5 * track.control_step * accumulated_vjp(bar)
+        power_bar, volume = np.append(step_bar, 0.0) + np.append(0.0, step_bar), self._volume(track)
+        F_bar, C_bar, design_bar = np.zeros(track.F.shape), np.zeros(track.C.shape), np.zeros(track.design.shape)
+        theta_bars = [np.zeros((len(theta), len(self.at))) for theta in track.terms[self.material.group]]
+        for rows, terms, thetas, F, C in self._pieces(track):
+            each = np.outer(power_bar[rows], volume).ravel()
+            F_piece, C_piece = _zeros(F), _zeros(C)
+            for term, theta, theta_bar in zip(terms, thetas, theta_bars, strict=True):
+                tau = _viscous(term, theta, F, C)
+                by_particle = inner(tau, C).reshape(-1, len(self.at))
+                design_bar[VOLUME, self.members] += power_bar[rows] @ by_particle / self.room
+                by_theta, by_F, by_C = _viscous_vjp(term, theta, F, C, scale(C, each))
+                theta_bar += _per_particle(by_theta, len(self.at))
+                F_piece, C_piece = add(F_piece, by_F), add(C_piece, add(by_C, scale(tau, each)))
+            F_bar[rows], C_bar[rows] = (_matrices(a, track.F[rows].shape) for a in (F_piece, C_piece))
+        return TrackBar(F=F_bar, C=C_bar, design=design_bar, terms=self._terms_bar(track, theta_bars))
+
+
+def _viscous(term: Any, theta: Any, F: Any, C: Any) -> Any:
+    """Return the part tau(F, C) - tau(F, 0) of a term's stress."""
+    if not needs_rate(type(term)):
+        return _zeros(F)
+    return sub(kirchhoff(term, theta, F, C, ()), kirchhoff(term, theta, F, _zeros(C), ()))
+
+
+def _viscous_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, C_bar)."""
+    if not needs_rate(type(term)):
+        return _zeros(theta), _zeros(F), _zeros(C)
+    moving, still = (kirchhoff_vjp(term, theta, F, rate, (), tau_bar) for rate in (C, _zeros(C)))
+    by_theta = tuple(a - b for a, b in zip(moving[0], still[0], strict=True))
+    return by_theta, sub(moving[1], still[1]), moving[2]
+
+
+def _zeros(entries: Any) -> Any:
+    """Return zeros like a tuple of arrays, also where an entry is not finite."""
+    return tuple(np.zeros_like(entry) for entry in entries)
+
+
 def _entries(field: Array) -> tuple[Array, ...]:
     """Return matrices (T, n, D, D) as a tuple of D * D flat arrays (T * n,)."""
     return tuple(np.ascontiguousarray(field.reshape(-1, field.shape[-1] ** 2).T))
 
 
-def _matrices(entries: list[Array], shape: tuple[int, ...]) -> Array:
+def _matrices(entries: Sequence[Array], shape: tuple[int, ...]) -> Array:
     """Return the adjoint of `_entries`: matrices of a shape (T, n, D, D)."""
     return np.stack(entries, axis=-1).reshape(shape)
 

@@ -20,6 +20,7 @@ MEASURE = {
     "pull": {"cable_tension": {"cable": "pull"}},
     "stored": {"elastic_energy": {}},
 }
+VISCOSITY = "bodies.beam.material.viscosity.shear"
 STIFFNESS = "actuators.pull.cable.stiffness"
 
 
@@ -65,6 +66,17 @@ def test_gradient_is_that_of_the_function_through_the_whole_motion(problem, path
     assert value == pytest.approx(loss({path: at}), rel=1e-14)
     expected = slope(lambda x: loss({path: x}), at, 1e-3 * at)
     assert gradient[path] == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("path", [E, VISCOSITY, "bodies.beam.material.density"])
+def test_gradient_of_what_viscosity_dissipates_is_that_of_the_motion(path):
+    data = scene(measure={"lost": {"dissipated_energy": {}}})
+    data["bodies"]["beam"]["material"]["viscosity"] = {"shear": 50.0}
+    weight = np.arange(11.0)[:, None]
+    loss = cqrun.load(data).loss(lambda lost: ((weight * lost).sum(), {"lost": weight}))
+    at = {E: 5.0e4, VISCOSITY: 50.0, "bodies.beam.material.density": 1000.0}[path]
+    expected = slope(lambda x: loss({path: x}), at, 1e-3 * at)
+    assert loss.value_and_grad({path: at})[1][path] == pytest.approx(expected, rel=1e-7)
 
 
 def test_vjp_of_all_particles_is_the_transpose_of_the_motion(problem):

@@ -46,6 +46,7 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "kinetic_energy": [{"body": "arm", "group": "tip"}, {"body": "ball"}],
         "stress": [{"body": "arm", "group": "tip"}, {"body": "ball"}],
         "elastic_energy": [place, {"body": "ball"}],
+        "dissipated_energy": [place, {"body": "arm"}, {"body": "ball"}],
         "cable_length": [{"cable": "cable"}, {"spring": "spring"}],
         "cable_tension": [{"cable": "cable"}, {"cable": "weight"}, {"spring": "spring"}],
         "work": [{"actuator": name} for name in WORKING],

@@ -221,18 +221,63 @@ def test_stress_and_energy_of_a_small_stretch_are_those_of_linear_elasticity():
         assert stored.values(track)[-1, 0] == pytest.approx(0.5 * young * eps**2 * volume, rel=1e-3)
 
 
-def uniform_terms(young: float, nu: float) -> list[list[np.ndarray]]:
+def uniform_terms(young: float, nu: float, dim: int = 3) -> list[list[np.ndarray]]:
     """Return the parameters of both bodies' terms: the first law's, and those of viscosity or incompressibility."""
-    matter = made_matter(3)
+    matter = made_matter(dim)
     counts = [len(matter.members(body)) for body in ("arm", "ball")]
     return [[np.tile([[young], [nu]], n), np.tile([[young], [nu]], n)] for n in counts]
+
+
+@DIM
+def test_a_shear_at_a_constant_rate_dissipates_at_a_constant_power(dim):
+    """With d_xy = rate / 2 the power per volume is eta rate^2, and what it adds up to is exact."""
+    rate, eta, L = 3.0, 0.4, np.zeros((dim, dim))
+    L[0, 1] = rate
+    lost, energy, volume = losing(dim, lambda t: np.eye(dim) + t * L, L, eta, 0.2)
+    assert energy == pytest.approx(eta * rate**2 * volume * TIMES, rel=1e-12)
+    assert lost.cumulative
+
+
+@DIM
+def test_a_growth_at_a_constant_rate_dissipates_by_both_viscosities(dim):
+    """F = exp(a t) I, so J = exp(D a t); the power J (2 eta |dev d|^2 + zeta (D a)^2) grows with J.
+
+    The trapezoidal rule takes (D a h)^2 / 12 too much for control steps h, as its theory says.
+    """
+    a, eta, zeta = 0.4, 0.4, 0.2
+    _, energy, volume = losing(dim, lambda t: np.exp(a * t) * np.eye(dim), a * np.eye(dim), eta, zeta)
+    shear = 2.0 * eta * (dim * a**2 - (dim * a) ** 2 / 3.0)  # of a 2D body in plane strain; zero in 3D
+    exact = volume * (shear + zeta * (dim * a) ** 2) * (np.exp(dim * a * TIMES) - 1.0) / (dim * a)
+    excess = (dim * a * CONTROL_STEP) ** 2 / 12.0
+    assert energy == pytest.approx(exact * (1.0 + excess), rel=1e-3 * excess)
+
+
+def test_a_turning_body_and_one_without_viscosity_dissipate_nothing():
+    rate = 2.0
+    _, energy, _ = losing(2, lambda t: turn(rate * t, 2), rate * np.array([[0.0, -1.0], [1.0, 0.0]]), 0.4, 0.2)
+    assert energy == pytest.approx(np.zeros(len(TIMES)), abs=1e-12)
+    lost = bound("dissipated_energy", 2, body="ball")  # elastic alone
+    track = motion(lost, 2, lambda X, t: X @ np.diag([1.0 + t, 1.0]))
+    track.C[:] = np.eye(2)
+    track.terms = uniform_terms(2.0, 0.3, 2)
+    assert not lost.values(track).any()
+
+
+def losing(dim: int, F: Any, L: np.ndarray, eta: float, zeta: float) -> tuple[BoundMeasure, np.ndarray, float]:
+    """Return the dissipated energy of the arm in a uniform motion F(t) with the velocity gradient L, and its volume."""
+    lost, matter = bound("dissipated_energy", dim, body="arm"), made_matter(dim)
+    track = motion(lost, dim, lambda X, t: X @ F(t).T)
+    track.C[:] = L
+    track.terms = uniform_terms(2.0, 0.3, dim)
+    track.terms[0][1] = np.tile([[eta], [zeta]], len(matter.members("arm")))
+    return lost, lost.values(track)[:, 0], float((track.design[1] / matter.room)[matter.members("arm")].sum())
 
 
 def test_stress_turns_with_the_body():
     """The stress of a bar that is pulled along x and then turned by a right angle is along y."""
     stress = bound("stress", 2, body="ball")
     track = motion(stress, 2, lambda X, t: (X @ np.diag([1.1, 1.0])) @ turn(np.pi / 2, 2).T)
-    track.terms = uniform_terms(2.0, 0.3)
+    track.terms = uniform_terms(2.0, 0.3, 2)
     xx, yy, xy = stress.values(track)[-1]
     assert yy > 2 * xx > 0
     assert xy == pytest.approx(0.0, abs=1e-12)
