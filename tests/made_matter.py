@@ -12,16 +12,23 @@ from cqrun.actuators.body_force import BodyForce
 from cqrun.actuators.cable import Cable
 from cqrun.actuators.muscle import Muscle
 from cqrun.actuators.pneumatic import Pneumatic
+from cqrun.engine.model import Model
+from cqrun.engine.reference.corners import hat_slopes, hats
+from cqrun.engine.reference.rest import rest_geometry
 from cqrun.forces.spring import Spring
 from cqrun.materials.fixed_corotated import FixedCorotated
 from cqrun.materials.incompressibility import Incompressibility
 from cqrun.materials.neo_hookean import NeoHookean
 from cqrun.materials.viscosity import Viscosity
-from cqrun.observers.matter import ActuatorPart, Material, Matter, Route
+from cqrun.observers.matter import ActuatorPart, Corners, Material, Matter, Route
 from cqrun.plugin.registry import plugins
+from cqrun.state import Layout
 
 STEP = 1e-30
 """Size of the imaginary part; it gives an exact derivative."""
+
+SCALE, CELL = 20.0, 3.0
+"""Of a body on a grid: so large that differences by positions at rest are exact to rounding."""
 
 CONTROL_STEP, N_CONTROLS, N_ACTUATORS = 0.05, 6, 3
 
@@ -49,6 +56,16 @@ def made_matter(dim: int) -> Matter:
         n_parts=N_ACTUATORS + 1, parts=made_parts(dim), materials=made_materials(len(arm)),
         room=np.linspace(0.5, 1.0, len(x)),
     )  # fmt: skip
+
+
+def averaged_matter(dim: int) -> Matter:
+    """Return `made_matter` with volumes averaged over the corners of cells, and `SCALE` times as large."""
+    matter = made_matter(dim)
+    counts = tuple(part.stop - part.start for part in matter.bodies.values())
+    model = Model(SCALE * matter.size, CELL, 1.0, 1, 1, tuple(matter.bodies), Layout(dim, counts), ())
+    geometry = lambda x: rest_geometry(model, x)  # noqa: E731
+    corners = Corners(lambda x: hats(geometry(x)), lambda x: hat_slopes(geometry(x)))
+    return replace(matter, x=SCALE * matter.x, size=model.size, corners=corners)
 
 
 def made_materials(n_arm: int) -> dict[str, Material]:

@@ -10,7 +10,7 @@ from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, N_WEIGHTS, made_m
 
 from cqrun.observers.track import Track, TrackBar
 
-FIELDS = ("x", "v", "C", "F", "activation", "design", "held", "strength", "rest_length", "terms", "weights")
+FIELDS = ("x", "v", "C", "F", "activation", "design", "held", "strength", "rest_length", "terms", "weights", "rest")
 
 
 def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
@@ -27,7 +27,7 @@ def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
     ]
     return Track(
         *motion, activation, goals, CONTROL_STEP, 2.0 + 0.1 * design, a_reaction(dim, rng), strength, rest, terms,
-        0.5 + rng.uniform(size=N_WEIGHTS),
+        0.5 + rng.uniform(size=N_WEIGHTS), made_matter(dim).x,
     )  # fmt: skip
 
 

@@ -263,6 +263,8 @@ class Assembly:
             bar.rest += beside.rest_length
         if beside.weights is not None:
             bar.weights += beside.weights
+        if beside.rest is not None:
+            bar.state.x += beside.rest
         for group, more in zip(bar.terms, beside.terms or (), strict=False):
             for theta_bar, part in zip(group, more, strict=True):
                 theta_bar += part

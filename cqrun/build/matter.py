@@ -7,7 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from cqrun.build.model import Built
-from cqrun.observers.matter import ActuatorPart, Material, Matter, Route
+from cqrun.engine.reference.corners import hat_slopes, hats
+from cqrun.engine.reference.rest import rest_geometry
+from cqrun.observers.matter import ActuatorPart, Corners, Material, Matter, Route
 from cqrun.observers.rows import slices
 from cqrun.plugin.contract import Array
 from cqrun.store.recordings import marker_path
@@ -38,7 +40,7 @@ def matter_of(built: Built, starts: Mapping[str, Array]) -> Matter:
         routes=_routes(built),
         materials=_materials(built),
         terms=inputs.terms,
-        averaged=built.model.averaged,
+        corners=_corners(built),
         room=particles.room,
         measures={name: chosen.value for name, chosen in scene.measure.items()},  # type: ignore[misc]
     )
@@ -52,6 +54,14 @@ def _materials(built: Built) -> dict[str, Material]:
         for g, group in enumerate(built.model.groups)
         for k in group.bodies
     }
+
+
+def _corners(built: Built) -> Corners | None:
+    """Return the corners of cells, if volumes are averaged over them."""
+    if not built.model.averaged:
+        return None
+    model = built.model
+    return Corners(lambda x: hats(rest_geometry(model, x)), lambda x: hat_slopes(rest_geometry(model, x)))
 
 
 def _parts(built: Built) -> tuple[ActuatorPart, ...]:

@@ -76,7 +76,7 @@ class Wanted(Comparison):
         parts = np.zeros(matter.n_parts)  # terms of strengths are refused
         return Track(
             x, v, C, F, nothing, self.goals, matter.control_step, matter.design, records.held, parts, parts,
-            matter.terms,
+            matter.terms, rest=matter.x,
         )  # fmt: skip
 
     def wanted(self) -> dict[str, Any]:

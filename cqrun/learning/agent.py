@@ -266,7 +266,7 @@ class Agent:
             records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at],
             rollout.activation if activation is None else activation, goals, self.matter.control_step,
             self.built.assembly.design(rollout.inputs), records.held, rollout.inputs.strength, rollout.inputs.rest,
-            rollout.inputs.terms, rollout.inputs.weights,
+            rollout.inputs.terms, rollout.inputs.weights, rollout.inputs.state.x,
         )  # fmt: skip
 
     def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:

@@ -13,6 +13,7 @@ import numpy as np
 
 from cqrun.errors import UsageError
 from cqrun.materials.term import energy, energy_vjp, has_energy, has_history, kirchhoff, kirchhoff_vjp, needs_rate
+from cqrun.measures.averaged import ENERGY, PRESSURE, Averaging, Law
 from cqrun.measures.measure import AXES, BoundMeasure
 from cqrun.measures.place import OnPart
 from cqrun.measures.work import accumulated, accumulated_vjp
@@ -33,8 +34,8 @@ class Stress(OnPart):
     """Cauchy stress [Pa] of the material of a part: the plain mean over its particles, positive in tension.
 
     It has the elastic and the viscous stress, and not what actuators add. Its components are xx, yy, (zz,) xy(, xz,
-    yz), along the axes of the world. It is not known where volumes are averaged (`world.volume`), or where a material
-    has a history.
+    yz), along the axes of the world. Where volumes are averaged (`world.volume`), it has the mean pressure. It is not
+    known where a material has a history.
     """
 
     def bind(self, matter: Matter) -> BoundMeasure:
@@ -45,7 +46,8 @@ class Stress(OnPart):
 class ElasticEnergy(OnPart):
     """Elastic energy of the material of a part: the sum over its particles [J; 2D: J/m].
 
-    It is not known where volumes are averaged (`world.volume`), or where a material has a history.
+    Where volumes are averaged (`world.volume`), the energy of each mean belongs to its particles by their shares of
+    it. It is not known where a material has a history.
     """
 
     def bind(self, matter: Matter) -> BoundMeasure:
@@ -69,26 +71,29 @@ class DissipatedEnergy(OnPart):
 
 
 class OfMaterial(BoundMeasure):
-    """Base of quantities of a material: one row for each particle of the part.
+    """Base of quantities of a material: one row for each particle, of the part or, with averaged volumes, of the body.
 
     Attributes:
-        at: positions of the part's particles among the columns of the parameters of the material's terms.
-        elastic: whether it depends on the elastic stress, which averaged volumes change.
+        members: the particles of the rows.
+        at: their positions among the columns of the parameters of the material's terms.
+        inside: (n,) 1 for those of the part.
+        law: what averaged volumes average of the energy U(J), if the quantity depends on it.
+        averaging: what averaged volumes change, or None.
     """
 
     instant = False
-    elastic: ClassVar[bool] = True
+    law: ClassVar[Law | None] = None
 
     def __init__(self, spec: OnPart, matter: Matter) -> None:
-        self.members = spec.members(matter)
+        self.members = part = spec.members(matter)
+        self.averaging: Averaging | None = None
+        if matter.corners is not None and self.law is not None:
+            self.members = matter.members(spec.body)
+            self.averaging = Averaging(spec.body, self.law, matter, matter.corners)
+        self.inside = np.isin(self.members, part).astype(float)
         self.rows = single(self.members, matter.n_particles)
         self.material: Material = matter.materials[spec.body]
         self.at = self.members - self.material.begin
-        if matter.averaged and self.elastic:
-            raise UsageError(
-                f"the {self.meaning} is not known where volumes are averaged: set `world.volume: local`, or measure a "
-                "strain"
-            )
         kinds = [type(term) for term in self._terms([np.zeros((99, 1)) for _ in self.material.makers])]
         if any(map(has_history, kinds)):
             raise UsageError(f"the {self.meaning} of a material with a history is not known: measure a strain")
@@ -119,14 +124,24 @@ class OfMaterial(BoundMeasure):
             whole[:, self.at] = part
         return out
 
+    def _with_averages(self, out: TrackBar, track: Track, each: Array) -> TrackBar:
+        """Return a cotangent with that through what averaged volumes change at each particle, `each` (T+1, n)."""
+        if self.averaging is not None:
+            more = self.averaging.values_vjp(track, each)
+            out.F = np.asarray(out.F) + np.asarray(more.F)
+            out.add_inputs_of(more)
+        return out
+
 
 class MeanStress(OfMaterial):
     """sigma = tau / J, averaged over the particles."""
 
-    unit, meaning = "Pa", "Cauchy stress"
+    unit, meaning, law = "Pa", "Cauchy stress", PRESSURE
 
     def __init__(self, spec: Stress, matter: Matter) -> None:
         super().__init__(spec, matter)
+        self.share = self.inside / self.inside.sum()
+        self.normal = slice(0, matter.dim)  # the components xx, yy, zz
         i, j = np.triu_indices(matter.dim, 1)
         self.i, self.j = np.concatenate([np.arange(matter.dim), i]), np.concatenate([np.arange(matter.dim), j])
         self.components = tuple(AXES[a] + AXES[b] for a, b in zip(self.i, self.j, strict=True))
@@ -134,15 +149,17 @@ class MeanStress(OfMaterial):
         self.low, self.high = np.full(len(self.i), -1.0e5), np.full(len(self.i), 1.0e5)
 
     def values(self, track: Track) -> Array:
-        return np.asarray(self.each(track).mean(axis=1))
+        return np.einsum("tnk,n->tk", self.each(track), self.share)
 
     def each(self, track: Track) -> Array:
-        """Return the stress of every particle of the part (T+1, n, components)."""
+        """Return the stress of every particle of `members` (T+1, n, components)."""
         out = np.zeros((len(track.F), len(self.at), len(self.entries)))
         for rows, terms, thetas, F, C in self._pieces(track):
             tau = _sum(kirchhoff(term, theta, F, C, ()) for term, theta in zip(terms, thetas, strict=True))
             for k, entry in enumerate(self.entries):
                 out[rows, :, k] = (tau[entry] / det(F)).reshape(-1, len(self.at))
+        if self.averaging is not None:
+            out[:, :, self.normal] += self.averaging.values(track)[:, :, None]
         return out
 
     def values_vjp(self, track: Track, bar: Array) -> TrackBar:
@@ -150,7 +167,7 @@ class MeanStress(OfMaterial):
         theta_bars = [np.zeros((len(theta), len(self.at))) for theta in track.terms[self.material.group]]
         for rows, terms, thetas, F, C in self._pieces(track):
             J = det(F)
-            each = np.repeat(bar[rows] / len(self.at), len(self.at), axis=0)
+            each = (bar[rows, None] * self.share[:, None]).reshape(-1, bar.shape[1])
             tau_bar = [0.0 * J for _ in F]
             for k, entry in enumerate(self.entries):
                 tau_bar[entry] = each[:, k] / J
@@ -165,11 +182,12 @@ class MeanStress(OfMaterial):
             through_J = [c * (-stress / J) for c in cofactor(F)]  # sigma = tau / J
             F_bar[rows] = _matrices([a + b for a, b in zip(F_piece, through_J, strict=True)], track.F[rows].shape)
             C_bar[rows] = _matrices(C_piece, track.C[rows].shape)
-        return TrackBar(F=F_bar, C=C_bar, terms=self._terms_bar(track, theta_bars))
+        out = TrackBar(F=F_bar, C=C_bar, terms=self._terms_bar(track, theta_bars))
+        return self._with_averages(out, track, bar[:, self.normal].sum(axis=1, keepdims=True) * self.share)
 
 
 class EnergyOfMaterial(OfMaterial):
-    """Base of energies: sums over the particles of the volume at rest times an energy density."""
+    """Base of energies: sums over the particles of the part of the volume at rest times an energy density."""
 
     def __init__(self, spec: OnPart, matter: Matter) -> None:
         super().__init__(spec, matter)
@@ -177,14 +195,14 @@ class EnergyOfMaterial(OfMaterial):
         self.room = matter.room[self.members]
 
     def _volume(self, track: Track) -> Array:
-        """Return the volumes at rest of the part's particles (n,)."""
-        return np.asarray(track.design[VOLUME, self.members] / self.room)
+        """Return the volumes at rest of the particles (n,); 0 outside the part."""
+        return np.asarray(track.design[VOLUME, self.members] * self.inside / self.room)
 
 
 class StoredEnergy(EnergyOfMaterial):
     """Sum of volume at rest times psi."""
 
-    meaning = "elastic energy"
+    meaning, law = "elastic energy", ENERGY
 
     def _require(self, kinds: list[type]) -> None:
         unknown = [kind.__name__.removesuffix("Kernel") for kind in kinds if not has_energy(kind)]
@@ -196,6 +214,8 @@ class StoredEnergy(EnergyOfMaterial):
         for rows, terms, thetas, F, _ in self._pieces(track):
             psi = sum(energy(term, theta, F) for term, theta in zip(terms, thetas, strict=True))
             out[rows, 0] = np.reshape(psi, (-1, len(self.at))) @ volume
+        if self.averaging is not None:
+            out[:, 0] += self.averaging.values(track) @ volume
         return out
 
     def values_vjp(self, track: Track, bar: Array) -> TrackBar:
@@ -207,12 +227,16 @@ class StoredEnergy(EnergyOfMaterial):
             total = [0.0 * each for _ in F]
             for term, theta, theta_bar in zip(terms, thetas, theta_bars, strict=True):
                 psi = energy(term, theta, F).reshape(-1, len(self.at))
-                design_bar[VOLUME, self.members] += bar[rows, 0] @ psi / self.room
+                design_bar[VOLUME, self.members] += bar[rows, 0] @ psi * self.inside / self.room
                 by_theta, by_F = energy_vjp(term, theta, F, each)
                 theta_bar += _per_particle(by_theta, len(self.at))
                 total = [a + b for a, b in zip(total, by_F, strict=True)]
             F_bar[rows] = _matrices(total, track.F[rows].shape)
-        return TrackBar(F=F_bar, design=design_bar, terms=self._terms_bar(track, theta_bars))
+        if self.averaging is not None:
+            by_particle = bar[:, 0] @ self.averaging.values(track)
+            design_bar[VOLUME, self.members] += by_particle * self.inside / self.room
+        out = TrackBar(F=F_bar, design=design_bar, terms=self._terms_bar(track, theta_bars))
+        return self._with_averages(out, track, bar * volume)
 
 
 class LostEnergy(EnergyOfMaterial):
@@ -222,7 +246,7 @@ class LostEnergy(EnergyOfMaterial):
     symmetric, so tau_v : C is tau_v : d.
     """
 
-    meaning, cumulative, elastic = "energy dissipated by viscosity", True, False
+    meaning, cumulative = "energy dissipated by viscosity", True
 
     def values(self, track: Track) -> Array:
         power, volume = np.zeros(len(track.F)), self._volume(track)

@@ -88,6 +88,19 @@ class Material:
 
 
 @dataclass(frozen=True)
+class Corners:
+    """The corners of cells, over which volumes are averaged (engine/reference/volume.py).
+
+    Attributes:
+        hats: positions at rest (N, D) [m] -> weights of all M corners at the particles (M, N), sparse.
+        slopes: the same -> derivatives of these weights by the position along each axis [1/m], D of (M, N).
+    """
+
+    hats: Callable[[Array], Any]
+    slopes: Callable[[Array], Sequence[Any]]
+
+
+@dataclass(frozen=True)
 class Matter:
     """A scene's particles, before it runs.
 
@@ -112,7 +125,7 @@ class Matter:
         routes: name -> cable or spring.
         materials: body -> its material.
         terms: parameters of all terms of the stress at the initial values of the unknowns, as in `Track.terms`.
-        averaged: whether volumes are means over the corners of cells.
+        corners: the corners of cells, if volumes are averaged over them.
         room: (N,) space that each particle fills, divided by its volume in the engine: 1, if not of unit mass.
         measures: name -> measured quantity of the scene, which is not bound yet.
         design: (Q, N) rows of `objectives/design.py` at the initial values of the unknowns; (0, 0) if not known.
@@ -138,7 +151,7 @@ class Matter:
     routes: Mapping[str, Route] = field(default_factory=dict)
     materials: Mapping[str, Material] = field(default_factory=dict)
     terms: Sequence[Sequence[Array]] = ()
-    averaged: bool = False
+    corners: Corners | None = None
     room: Array = field(default_factory=lambda: np.zeros(0))
     measures: Mapping[str, Bindable[Any]] = field(default_factory=dict)
 

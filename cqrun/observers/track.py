@@ -27,6 +27,7 @@ class Track:
         weights: of each particle of each actuator, one part after another; empty if all are 1.
         held: force [N] and moment [N m] of the boundaries that readers need (T+1, D+1) or (T+1, 6), by name: means over
             each control step, which row 0 does not have (engine/reference/reactions.py).
+        rest: positions of all particles at rest (N, D) [m].
     """
 
     x: Array
@@ -42,6 +43,7 @@ class Track:
     rest_length: Array = field(default_factory=lambda: np.zeros(0))
     terms: Sequence[Sequence[Array]] = ()
     weights: Array = field(default_factory=lambda: np.zeros(0))
+    rest: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def part(self, at: slice) -> Track:
         """Return the record that a reader of some of the sums gets."""
@@ -63,10 +65,11 @@ class TrackBar:
     rest_length: Array | None = None
     terms: list[list[Array]] | None = None
     weights: Array | None = None
+    rest: Array | None = None
 
     def add_inputs_of(self, other: TrackBar) -> None:
-        """Add the parts of another cotangent that belong to the inputs of a run: design, strengths, lengths, terms."""
-        for name in ("design", "strength", "rest_length", "weights"):
+        """Add the parts of another cotangent that belong to the inputs of a run, such as the design and the terms."""
+        for name in ("design", "strength", "rest_length", "weights", "rest"):
             part, so_far = getattr(other, name), getattr(self, name)
             if part is not None:
                 setattr(self, name, part if so_far is None else so_far + part)

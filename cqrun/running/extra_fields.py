@@ -57,7 +57,10 @@ class ExtraFields:
         """Return the record of some particles at one moment."""
         x, v, C, F = (part[members][None] for part in (state.x, state.v, state.C, state.F))
         step = self._built.scene.time.control_step
-        return Track(x, v, C, F, np.zeros((0, 0)), {}, step, terms=inputs.terms)
+        design = self._built.assembly.design(inputs)
+        return Track(
+            x, v, C, F, np.zeros((0, 0)), {}, step, design, terms=inputs.terms, rest=inputs.state.x
+        )  # fmt: skip
 
 
 def _entries(dim: int) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from tiny_beam import BEAM, E
+from tiny_beam import BEAM, NU, E
 
 import cqrun
 from cqrun.errors import UsageError
@@ -76,6 +76,23 @@ def test_gradient_of_what_viscosity_dissipates_is_that_of_the_motion(path):
     loss = cqrun.load(data).loss(lambda lost: ((weight * lost).sum(), {"lost": weight}))
     at = {E: 5.0e4, VISCOSITY: 50.0, "bodies.beam.material.density": 1000.0}[path]
     expected = slope(lambda x: loss({path: x}), at, 1e-3 * at)
+    assert loss.value_and_grad({path: at})[1][path] == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("path", [E, NU, "bodies.beam.material.density", "bodies.beam.shape.box.size.1"])
+def test_gradient_of_stress_and_energy_of_averaged_volumes_is_that_of_the_motion(path):
+    """Also by the shape, on which the corners' shares of the particles depend."""
+    root = {"region": {"box": {"corner": [0.04, 0.2], "size": [0.04, 0.02]}}}
+    data = scene(measure={"root": {"stress": root}, "stored": {"elastic_energy": root}})
+    data["bodies"]["beam"]["material"]["elastic"]["neo_hookean"]["poissons_ratio"] = 0.49
+    by_root, by_stored = 1e-3 * np.arange(33.0).reshape(11, 3), np.arange(11.0)[:, None]
+
+    def measured(root, stored):
+        return (by_root * root).sum() + (by_stored * stored).sum(), {"root": by_root, "stored": by_stored}
+
+    loss = cqrun.load(data).loss(measured)
+    at = {E: 5.0e4, NU: 0.49, "bodies.beam.material.density": 1000.0, "bodies.beam.shape.box.size.1": 0.04}[path]
+    expected = slope(lambda x: loss({path: x}), at, 3e-5 * at)
     assert loss.value_and_grad({path: at})[1][path] == pytest.approx(expected, rel=1e-7)
 
 

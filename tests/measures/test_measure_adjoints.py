@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_matter import N_ACTUATORS, box_around_left, made_matter, mismatch
+from made_matter import CELL, N_ACTUATORS, averaged_matter, box_around_left, made_matter, mismatch
 from made_tracks import FIELDS, a_track, products_of, random_like
 
 from cqrun.measures.measure import BoundMeasure
@@ -108,6 +108,22 @@ def test_adjoint_is_that_of_the_values(name, k, dim):
     rng, bound = np.random.default_rng([7, dim, k]), make(name, k, dim)
     for _ in range(3):
         assert adjoint_error(bound, smooth_track(bound, dim, rng), rng) < 1e-9
+
+
+AVERAGED = [(name, k) for name, k in CASES if name in ("stress", "elastic_energy", "dissipated_energy")]
+
+
+@pytest.mark.parametrize(("name", "k"), AVERAGED, ids=[f"{name}{k}" for name, k in AVERAGED])
+@DIM
+def test_adjoint_is_that_of_the_values_where_volumes_are_averaged(name, k, dim):
+    """Also with respect to positions at rest, which are far from the kinks of hats, half a cell from the nodes."""
+    rng, matter = np.random.default_rng([8, dim, k]), averaged_matter(dim)
+    bound = make(name, k, dim, matter)
+    track = replace(smooth_track(bound, dim, rng), rest=matter.x)
+    cells = matter.x / CELL - 0.5
+    assert np.abs(cells - np.round(cells)).min() * CELL > 100 * STEP
+    for _ in range(3):
+        assert adjoint_error(bound, track, rng) < 1e-9
 
 
 def test_every_measured_quantity_is_tested():

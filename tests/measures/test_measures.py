@@ -9,6 +9,8 @@ import pytest
 from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, made_matter
 
 from cqrun.errors import CrushedError, UsageError
+from cqrun.materials.viscosity import ViscosityKernel
+from cqrun.measures import material
 from cqrun.measures.measure import BoundMeasure
 from cqrun.measures.turning import unwrapped
 from cqrun.observers.track import Track
@@ -283,9 +285,16 @@ def test_stress_turns_with_the_body():
     assert xy == pytest.approx(0.0, abs=1e-12)
 
 
-def test_stress_is_refused_where_it_is_not_known():
-    matter = made_matter(2)
-    averaged = type(matter)(**{**vars(matter), "averaged": True})
-    spec = plugins("measure")["stress"].model_validate({"body": "arm"})
-    with pytest.raises(UsageError, match=r"not known where volumes are averaged: set `world\.volume: local`"):
-        spec.bind(averaged)
+@pytest.mark.parametrize(
+    ("name", "meaning"),
+    [
+        ("stress", "Cauchy stress"),
+        ("elastic_energy", "elastic energy"),
+        ("dissipated_energy", "energy dissipated by viscosity"),
+    ],
+)
+def test_what_depends_on_a_history_is_refused(name, meaning, monkeypatch):
+    monkeypatch.setattr(material, "has_history", lambda kind: kind is ViscosityKernel)
+    assert bound(name, 2, body="ball")
+    with pytest.raises(UsageError, match=f"the {meaning} of a material with a history is not known: measure a strain"):
+        bound(name, 2, body="arm")
