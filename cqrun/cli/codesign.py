@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Seeds, Threads
+from cqrun.cli.options import AllowPlugins, Fresh, Jobs, On, Out, Overrides, Quiet, Scene, Seeds, Threads
 from cqrun.store.places import results_in
 
 
@@ -18,6 +18,7 @@ def codesign(
     threads: Threads = None,
     seeds: Seeds = None,
     jobs: Jobs = None,
+    on: On = "processes",
     ablate: Annotated[
         bool,
         typer.Option("--ablate", help="Compare variants: only the controller, with each kind of unknown, with all."),
@@ -46,7 +47,7 @@ def codesign(
     if rates and not ablate:
         raise UsageError("--rate: is only for variants: add --ablate, or use -o optimizer...learning_rate=X")
     if not ablate:
-        require_seeds_for_jobs(seeds, jobs)
+        require_seeds_for_jobs(seeds, jobs, on)
     with infeasible_shown(quiet, allow_plugins):
         out = results_in(out, scene)
         with working(quiet, allow_plugins, f"reading {scene}") as reporter:
@@ -57,12 +58,12 @@ def codesign(
             if ablate:
                 comparison, succeeded = run_ablation(
                     scene, overrides or [], out, seeds=1 if seeds is None else seeds, rates=rates or [], jobs=jobs,
-                    fresh=fresh, threads=threads, allow_plugins=allow_plugins, reporter=reporter,
+                    on=on, fresh=fresh, threads=threads, allow_plugins=allow_plugins, reporter=reporter,
                 )  # fmt: skip
             elif seeds is not None:
                 summary, succeeded = run_seeds(
-                    scene, overrides or [], out, seeds=seeds, job=CODESIGN, jobs=jobs, fresh=fresh, threads=threads,
-                    allow_plugins=allow_plugins, reporter=reporter,
+                    scene, overrides or [], out, seeds=seeds, job=CODESIGN, jobs=jobs, on=on, fresh=fresh,
+                    threads=threads, allow_plugins=allow_plugins, reporter=reporter,
                 )  # fmt: skip
             else:
                 run = run_codesign(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cqrun.cli.options import AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Seeds, Threads
+from cqrun.cli.options import AllowPlugins, Fresh, Jobs, On, Out, Overrides, Quiet, Scene, Seeds, Threads
 from cqrun.store.places import results_in
 
 
@@ -14,6 +14,7 @@ def control(
     threads: Threads = None,
     seeds: Seeds = None,
     jobs: Jobs = None,
+    on: On = "processes",
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
@@ -24,7 +25,7 @@ def control(
     from cqrun.cli.progress import working
     from cqrun.cli.results import draw_and_print_run, infeasible_shown, report_and_print_seeds, require_seeds_for_jobs
 
-    require_seeds_for_jobs(seeds, jobs)
+    require_seeds_for_jobs(seeds, jobs, on)
     with infeasible_shown(quiet, allow_plugins):
         out = results_in(out, scene)
         with working(quiet, allow_plugins, f"reading {scene}") as reporter:
@@ -33,7 +34,7 @@ def control(
 
             if seeds is not None:
                 summary, succeeded = run_seeds(
-                    scene, overrides or [], out, seeds=seeds, jobs=jobs, fresh=fresh, threads=threads,
+                    scene, overrides or [], out, seeds=seeds, jobs=jobs, on=on, fresh=fresh, threads=threads,
                     allow_plugins=allow_plugins, reporter=reporter,
                 )  # fmt: skip
             else:

@@ -52,6 +52,15 @@ Resolution = Annotated[
 Jobs = Annotated[
     int | None, typer.Option("--jobs", metavar="N", help="Number of runs at once; the number of threads if not given.")
 ]
+On = Annotated[
+    str,
+    typer.Option(
+        "--on",
+        metavar="PLACE",
+        help="Where several runs are made: processes of this machine; dask, a local cluster; dask://HOST:PORT; or "
+        "slurm.",
+    ),
+]
 
 
 def with_grids(words: Sequence[str]) -> Iterator[str]:

@@ -172,12 +172,14 @@ def infeasible_shown(quiet: bool, allow_plugins: bool) -> Iterator[None]:
         raise
 
 
-def require_seeds_for_jobs(seeds: int | None, jobs: int | None) -> None:
-    """Raise a UsageError if a number of runs at once is given, but only one run."""
+def require_seeds_for_jobs(seeds: int | None, jobs: int | None, on: str) -> None:
+    """Raise a UsageError if a number of runs at once, or a place for them, is given, but only one run."""
     from cqrun.errors import UsageError
 
     if seeds is None and jobs is not None:
         raise UsageError(f"--jobs {jobs}: is the number of seeds that run at once: add --seeds N")
+    if seeds is None and on != "processes":
+        raise UsageError(f"--on {on}: is the place where several seeds run: add --seeds N")
 
 
 def report_and_print_seeds(summary: Path, succeeded: bool, quiet: bool, allow_plugins: bool) -> None:

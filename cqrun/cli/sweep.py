@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Threads
+from cqrun.cli.options import AllowPlugins, Fresh, Jobs, On, Out, Overrides, Quiet, Scene, Threads
 from cqrun.store.places import results_in
 
 Axes = Annotated[
@@ -33,16 +33,6 @@ JobName = Annotated[
 Show = Annotated[
     list[str] | None,
     typer.Option("--show", metavar="NUMBER", help="Column of the table that the picture shows (repeatable)."),
-]
-
-
-On = Annotated[
-    str,
-    typer.Option(
-        "--on",
-        metavar="PLACE",
-        help="Where the runs are made: processes of this machine; dask, a local cluster; dask://HOST:PORT; or slurm.",
-    ),
 ]
 
 

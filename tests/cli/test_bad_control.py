@@ -298,6 +298,8 @@ def test_zero_seeds_are_refused(cqrun, tmp_path):
     assert (code, err) == (2, f"error: --seeds 0: {words}\n")
     code, _, err = cqrun("control", scene, "--jobs", "2", "--out", tmp_path / "out")
     assert (code, err) == (2, "error: --jobs 2: is the number of seeds that run at once: add --seeds N\n")
+    code, _, err = cqrun("control", "finger.yaml", "--on", "dask")
+    assert (code, err) == (2, "error: --on dask: is the place where several seeds run: add --seeds N\n")
     assert not (tmp_path / "out").exists()
 
 

@@ -10,13 +10,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from small_beam import Listener, assert_same
+from small_beam import Listener, assert_same, changed
+from small_finger import STIFFNESS, written
 from tiny_beam import BEAM, E
 
 from cqrun.errors import MissingExtra, Stopped, UsageError
+from cqrun.jobs.control import CODESIGN
+from cqrun.jobs.studies.ablation import run_ablation
+from cqrun.jobs.studies.seeds import run_seeds
 from cqrun.jobs.studies.sweep import SweepOptions, run_sweep
 from cqrun.running import cluster
-from cqrun.store.study import read_sweep
+from cqrun.store.study import read_ablation, read_seeds, read_sweep
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
 
@@ -101,6 +105,25 @@ def test_workers_without_our_files_send_the_runs_back(scene, expected, workers, 
     # a run that came back can be repeated here: its record names the scene's folder
     again, good = run_sweep(scene, [], tmp_path, POINTS, threads=2)
     assert (again, good) == (path, True)
+
+
+def test_seeds_and_variants_run_there_too(workers, tmp_path):
+    """The variant with its design free has the runs of the seeds, which are there already."""
+    scene = written(tmp_path)
+    changed(scene, "max_iterations: 4", "max_iterations: 2")
+    free = {"overrides": [f"unknowns={{{STIFFNESS}: {{bounds: [5, 20]}}}}"], "seeds": 2, "threads": 2}
+    here, good = run_seeds(scene, out=tmp_path / "here", job=CODESIGN, **free)
+    assert good
+    there, good = run_seeds(scene, out=tmp_path / "there", job=CODESIGN, on=on(workers), **free)
+    assert good
+    seeds = read_seeds(there)
+    for one, other in zip(seeds.seeds.values(), read_seeds(here).seeds.values(), strict=True):
+        assert_same(Path(one.run), Path(other.run))
+    listener = Listener()
+    path, good = run_ablation(scene, out=tmp_path / "there", on=on(workers), reporter=listener, **free)
+    assert good
+    assert listener.said[-1].endswith("; 2 of 4 runs are there already")
+    assert [v.runs for v in read_ablation(path).variants.values() if v.free] == [[s.run for s in seeds.seeds.values()]]
 
 
 def test_a_scene_with_files_elsewhere_needs_a_shared_file_system():

@@ -27,22 +27,13 @@ import numpy as np
 from cqrun.errors import RunError
 from cqrun.explain import listed
 from cqrun.jobs import control
-from cqrun.jobs.studies.seeds import (
-    CONFIDENCE,
-    INFEASIBLE,
-    command_of,
-    has_ended,
-    inputs_of,
-    interval,
-    member,
-    require_seeds,
-    shown,
-    warn_if_alike,
-)
+from cqrun.jobs.studies.members import INFEASIBLE, Executor, command_of, has_ended, unfinished
+from cqrun.jobs.studies.seeds import CONFIDENCE, inputs_of, interval, member, require_seeds, shown, warn_if_alike
 from cqrun.jobs.studies.variants import CONTROL, Variant, rate_overrides, variants_of
 from cqrun.optimizers.constrained import ranked
 from cqrun.plugin.contract import Array
-from cqrun.running.fleet import Member, run_fleet
+from cqrun.running.cluster import PROCESSES
+from cqrun.running.fleet import Member
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter, Silent
 from cqrun.running.runs import optimizer_of
@@ -63,8 +54,8 @@ NOTHING = Mean(mean=None, low=None, high=None)
 
 def run_ablation(
     source: Path | str, overrides: Sequence[str], out: Path | str, *, seeds: int, fresh: bool = False,
-    threads: int | None = None, rates: Sequence[float] = (), jobs: int | None = None, allow_plugins: bool = False,
-    reporter: Reporter | None = None,
+    threads: int | None = None, rates: Sequence[float] = (), jobs: int | None = None, on: str = PROCESSES,
+    allow_plugins: bool = False, reporter: Reporter | None = None,
 ) -> tuple[Path, bool]:  # fmt: skip
     """Compare a scene's variants; return the file of the comparison, and whether all runs succeeded.
 
@@ -72,6 +63,7 @@ def run_ablation(
         seeds: number of seeds for each variant.
         rates: learning rates to try with each variant; only the scene's own if empty.
         jobs: number of processes at once; the number of threads if not given.
+        on: `processes`, `dask`, `dask://HOST:PORT` or `slurm`.
         threads: number of threads for all processes, which share them equally.
 
     Raises:
@@ -82,28 +74,29 @@ def run_ablation(
     require_seeds(overrides, seeds, jobs)
     scene = load_scene(source, overrides)
     variants, tried = variants_of(scene), rate_overrides(scene, rates)
+    at_once = min(n_threads if jobs is None else jobs, len(variants) * max(seeds, len(tried)))
+    executor = Executor(source, out, scene, control.CODESIGN, at_once, on)
     whole = control.CODESIGN.prepare(scene, 1, Silent())
     warn_if_alike(whole, seeds, talk)
     folder = make_below(out, stem_of(source))
     # `auto` depends on the bounds of the free unknowns; variants with different time steps could not be compared
     same_step = [f"time.substeps={whole.built.model.substeps}"] if scene.time.substeps == "auto" else []
-    at_once = min(n_threads if jobs is None else jobs, len(variants) * max(seeds, len(tried)))
     make = _Members(source, [*overrides, *same_step], out, max(1, n_threads // at_once), allow_plugins, talk)
     best: dict[str, str | None] = {v.name: tried[0] for v in variants}
     searched: dict[str, dict[str, float | None]] = {}
     if len(tried) > 1:
         trials = {(v.name, rate): make(v, rate, [0], fresh)[0] for v in variants for rate in tried}
-        talk.phase(f"trying {len(tried)} learning rates with {len(variants)} variants, {at_once} at once")
-        _run(list(trials.values()), at_once, "trials", talk)
+        doing = f"trying {len(tried)} learning rates with {len(variants)} variants, {at_once} at once"
+        _run(executor, list(trials.values()), "trials", doing, talk)
         for v in variants:
             best[v.name], searched[v.name] = _best_rate(scene, {rate: trials[v.name, rate] for rate in tried})
     runs = {}
     for v in variants:  # the search, if there was one, has already run seed 0 again
         first = make(v, best[v.name], [0], fresh and not searched)
         runs[v.name] = first + (make(v, best[v.name], range(1, seeds), fresh) if seeds > 1 else [])
-    talk.phase(f"learning {len(variants)} variants from {seeds} seeds, {at_once} at once")
     everyone = [run for of_seed in zip(*runs.values(), strict=True) for run in of_seed]  # so a stop leaves whole seeds
-    _run(everyone, at_once, "runs", talk, len(variants))
+    doing = f"learning {len(variants)} variants from {seeds} seeds, {at_once} at once"
+    _run(executor, everyone, "runs", doing, talk, len(variants))
     result = summary(stem_of(source), scene, variants, runs)
     for v in variants:
         result.variants[v.name].rate = (best[v.name] or "").partition("=")[2] or None
@@ -135,12 +128,13 @@ class _Members:
     def __call__(self, variant: Variant, rate: str | None, seeds: Sequence[int], fresh: bool) -> list[Member]:
         overrides = [*self.overrides, *variant.overrides, *([rate] if rate else [])]
         problem = variant.job.prepare(load_scene(self.source, overrides), 1, self.talk)
-        compile_kernels([problem.built], self.talk, adjoint=optimizer_of(problem.built.scene).gradients)
         words = command_of(variant.job.name, self.source, self.out, self.threads, fresh, self.allow_plugins)
         scene = problem.built.scene
         members = [member(words, self.source, scene, overrides, k, self.out, variant.job.name) for k in seeds]
         for run in members:
             run.name = f"{variant.name}, {run.name}{f' with {rate}' if rate else ''}"
+        if unfinished(members):
+            compile_kernels([problem.built], self.talk, adjoint=optimizer_of(scene).gradients)
         return members
 
 
@@ -152,13 +146,16 @@ def _best_rate(scene: Scene, trials: Mapping[str | None, Member]) -> tuple[str |
     return min(ranks, key=ranks.__getitem__, default=next(iter(trials))), losses
 
 
-def _run(members: Sequence[Member], at_once: int, what: str, talk: Reporter, of_seed: int = 0) -> None:
+def _run(
+    executor: Executor, members: Sequence[Member], what: str, doing: str, talk: Reporter, of_seed: int = 0
+) -> None:
     """Run all members; raise RunError if one was killed, but not if one blew up, which is a result.
 
     Args:
+        what, doing: as `Executor.run`.
         of_seed: number of consecutive members with the same seed; 0 if they are in another order.
     """
-    run_fleet(members, at_once, what, talk)
+    executor.run(members, what, doing, talk)
     good = [m for m in members if has_ended(m)]
     if talk.stop.asked and len(good) < len(members):
         whole = list(itertools.takewhile(lambda m: has_ended(m) or _blew_up(m), members))

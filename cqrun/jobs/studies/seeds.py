@@ -12,7 +12,6 @@ constraints, or over all runs if none does.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,11 +22,13 @@ import numpy as np
 from cqrun.errors import UsageError
 from cqrun.fitting.uncertainty import interval_of_mean
 from cqrun.jobs.control import CONTROL, Learning
+from cqrun.jobs.studies.members import INFEASIBLE, Executor, command_of, has_ended, unfinished
 from cqrun.learning.agent import Agent
 from cqrun.learning.episodes import EpisodeProblem
 from cqrun.learning.learned import STAGES, blown_up
+from cqrun.running.cluster import PROCESSES
 from cqrun.running.cost import about
-from cqrun.running.fleet import Member, run_fleet
+from cqrun.running.fleet import Member
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter, Silent
 from cqrun.running.runs import EXTENDED, optimizer_of, run_scene
@@ -39,7 +40,7 @@ from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
 from cqrun.store.folder import make_below
 from cqrun.store.model_file import path_of
-from cqrun.store.result import RESULT, LearnedResult, Stage, StageName, require_result
+from cqrun.store.result import LearnedResult, Stage, StageName, require_result
 from cqrun.store.run import read_record
 from cqrun.store.run_scene import RunScene, stem_of
 from cqrun.store.study import Mean, Seed, SeedsSummary, read_seeds, write_study
@@ -50,20 +51,18 @@ MOST_SEEDS = 10_000
 CONFIDENCE = 0.9
 """Confidence of the intervals of means."""
 
-INFEASIBLE = "infeasible"
-"""Status of a run that does not meet its constraints."""
-
 
 def run_seeds(
     source: Path | str, overrides: Sequence[str], out: Path | str, *, seeds: int, fresh: bool = False,
-    threads: int | None = None, job: Learning = CONTROL, jobs: int | None = None, allow_plugins: bool = False,
-    reporter: Reporter | None = None,
+    threads: int | None = None, job: Learning = CONTROL, jobs: int | None = None, on: str = PROCESSES,
+    allow_plugins: bool = False, reporter: Reporter | None = None,
 ) -> tuple[Path, bool]:  # fmt: skip
     """Learn a scene's controller from seeds 0 .. seeds - 1; return the file of the summary, and whether all succeeded.
 
     Args:
         job: control or codesign.
         jobs: number of processes at once; the number of threads if not given.
+        on: `processes`, `dask`, `dask://HOST:PORT` or `slurm`.
         threads: number of threads for all processes, which share them equally.
         allow_plugins: passed to the processes.
 
@@ -74,16 +73,18 @@ def run_seeds(
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
     at_once = min(seeds, n_threads if jobs is None else jobs)
+    scene = load_scene(source, overrides)
+    executor = Executor(source, out, scene, job, at_once, on)
     folder = make_below(out, stem_of(source))
-    problem = job.prepare(load_scene(source, overrides), 1, talk)
+    problem = job.prepare(scene, 1, talk)
     scene, optimizer = problem.built.scene, optimizer_of(problem.built.scene)
     warn_if_alike(problem, seeds, talk)
-    compile_kernels([problem.built], talk, adjoint=optimizer.gradients)
     words = command_of(job.name, source, out, n_threads // at_once, fresh, allow_plugins)
     all_of_them = [member(words, source, scene, overrides, k, out, job.name) for k in range(seeds)]
+    if unfinished(all_of_them):
+        compile_kernels([problem.built], talk, adjoint=optimizer.gradients)
     lasts = about(problem.built.model, gradients=optimizer.gradients, each="an episode")
-    talk.phase(f"learning from {seeds} seeds, {at_once} at once, {lasts}")
-    run_fleet(all_of_them, at_once, "seeds", talk)
+    executor.run(all_of_them, "seeds", f"learning from {seeds} seeds, {at_once} at once, {lasts}", talk)
     good = [s for s in all_of_them if s.failure is None]
     if talk.stop.asked and len(good) < seeds:
         raise talk.stop.stopped(f"{len(good)} of {seeds} seeds are finished; the same command continues the others")
@@ -123,13 +124,6 @@ def starts_alike(problem: EpisodeProblem) -> bool:
     return bool(np.array_equal(other.start, problem.start))
 
 
-def command_of(job: str, source: Path, out: Path, threads: int, fresh: bool, allow_plugins: bool) -> list[str]:
-    """Return the command of one run, without its overrides; -P: it imports nothing from the current folder."""
-    words = [sys.executable, "-P", "-m", "cqrun", job, str(source), "--quiet", "--out", str(out)]
-    words += ["--threads", str(max(1, threads))]
-    return words + ["--fresh"] * fresh + ["--allow-plugins"] * allow_plugins
-
-
 def member(
     words: Sequence[str], source: Path, scene: Scene, overrides: Sequence[str], seed: int, out: Path, job: str
 ) -> Member:
@@ -146,13 +140,6 @@ def inputs_of(source: Path, scene: Scene, seed: int | None, job: str) -> RunScen
         return run_scene(stem_of(source), with_values(scene, {"seed": seed}), job=job, with_data=False)
     unseeded = {key: value for key, value in resolve(scene).items() if key != "seed"}
     return replace(run_scene(stem_of(source), scene, job=job, with_data=False), resolved=dump(unseeded))
-
-
-def has_ended(member: Member) -> bool:
-    """Return whether a run has a result, which may violate its constraints."""
-    return member.failure is None or (
-        (member.run / RESULT).exists() and read_record(member.run)["status"] == INFEASIBLE
-    )
 
 
 # --- the summary --------------------------------------------------------------------------------------------------

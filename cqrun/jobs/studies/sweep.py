@@ -20,16 +20,15 @@ from typing import Any
 
 from cqrun.errors import SceneError, UsageError
 from cqrun.explain import listed
-from cqrun.fingerprint import engine_hash
 from cqrun.jobs.job import Job
 from cqrun.jobs.studies.axes import Point, Sampling, axis_of, points_of
+from cqrun.jobs.studies.members import INFEASIBLE, Executor, command_of, has_ended
 from cqrun.jobs.studies.quantities import Quantity, measured_in, quantities_of
-from cqrun.jobs.studies.seeds import INFEASIBLE, command_of, has_ended
 from cqrun.jobs.table import JOBS
-from cqrun.running.cluster import PROCESSES, Parcel, require_place, run_on_cluster
-from cqrun.running.fleet import Member, run_fleet
+from cqrun.running.cluster import PROCESSES
+from cqrun.running.fleet import Member
 from cqrun.running.reporter import Reporter, Silent
-from cqrun.running.runs import data_files, part_files, run_scene, scene_in
+from cqrun.running.runs import run_scene, scene_in
 from cqrun.running.tables import number, table
 from cqrun.running.threads import cores
 from cqrun.scene.keypath import shortest
@@ -37,11 +36,11 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
-from cqrun.store.folder import RECORD, REPORT, make_below
+from cqrun.store.folder import make_below
 from cqrun.store.model_file import path_of
 from cqrun.store.places import results_in
 from cqrun.store.result import LearnedResult, SimulateResult, read_result
-from cqrun.store.run import FINISHED, read_record
+from cqrun.store.run import read_record
 from cqrun.store.run_scene import stem_of
 from cqrun.store.study import Found, Sweep, SweptRun, read_sweep, write_study
 
@@ -99,23 +98,15 @@ def run_sweep(
     """
     source, out, talk = Path(source), Path(out), reporter or Silent()
     points, n_threads = options.points(), cores(threads)
-    require_place(options.on)
     scene = load_scene(source, overrides)
     job = _job_of(options.job, scene)
     at_once = min(len(points), options.jobs or n_threads)
+    executor = Executor(source, out, scene, job, at_once, options.on)
     words = command_of(job.name, source, out, n_threads // at_once, fresh, allow_plugins)
     names = list(dict.fromkeys(path for point in points for path in point))
     members = list(_members(points, names, words, job, source, overrides, out, talk))
     path = make_below(out, stem_of(source)) / f"sweep-{_digest(source, scene, job, points)}.json"
-    waiting = [member for member in members if fresh or not _is_complete(member.run)]
-    there = len(members) - len(waiting)
-    already = f"; {there} of {len(members)} are there already" if there else ""
-    talk.phase(f"{len(waiting)} runs of {job.name}, {at_once} at once{already}")
-    if options.on == PROCESSES or not waiting:
-        run_fleet(waiting, at_once, "runs", talk)
-    else:
-        parcel = _parcel(source, scene, job)
-        run_on_cluster(waiting, options.on, at_once, "runs", talk, source=source, out=out, parcel=parcel)
+    executor.run(members, "runs", f"{len(members)} runs of {job.name}, {at_once} at once", talk)
     good = sum(member.failure is None for member in members)
     sweep = _summary(stem_of(source), job, points, names, members)
     write_study(path, sweep)
@@ -197,26 +188,6 @@ def _members(
         options = [word for override in own for word in ("-o", override)]
         steps = getattr(optimizer, "max_iterations", 1) if job.extensible else 1
         yield Member(label, out / stem_of(source) / digest, [*words, *options], steps)
-
-
-def _is_complete(run: Path) -> bool:
-    """Return whether a run succeeded, and its command would only draw the same pictures again."""
-    if not (run / RECORD).is_file() or not (run / REPORT).is_file():
-        return False
-    record = read_record(run)
-    succeeded = record["status"] in FINISHED and record["status"] not in (INFEASIBLE, "failed")
-    return succeeded and record.get("engine") == engine_hash() and not record.get("plugins")
-
-
-def _parcel(source: Path, scene: Scene, job: Job[Any, Any]) -> Parcel | None:
-    """Return the scene and the files that it names; None if one is not below the scene's folder."""
-    named = part_files(scene) | scene.plugin_paths() | (data_files(scene) if job.reads_data(scene) else {})
-    folder, files = source.resolve().parent, {source.name: source.read_bytes()}
-    for path in (path.resolve() for path in named.values()):
-        if not path.is_relative_to(folder):
-            return None
-        files[str(path.relative_to(folder))] = path.read_bytes()
-    return Parcel(source.name, files)
 
 
 def _digest(source: Path, scene: Scene, job: Job[Any, Any], points: Sequence[Point]) -> str:

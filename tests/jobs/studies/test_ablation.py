@@ -17,7 +17,7 @@ from cqrun.cli.app import app
 from cqrun.errors import RunError, SceneError, Stopped, UsageError
 from cqrun.figures.ablation import draw_ablation
 from cqrun.jobs.control import CODESIGN
-from cqrun.jobs.studies import ablation
+from cqrun.jobs.studies import ablation, members
 from cqrun.jobs.studies.ablation import _gain, ablation_lines, effects, run_ablation
 from cqrun.jobs.studies.seeds import run_seeds
 from cqrun.jobs.studies.variants import group_of, variants_of
@@ -84,14 +84,15 @@ def test_effects_and_gains_of_a_known_design(tmp_path):
     assert _gain([1.0], [0.0], -1.0) is None
 
 
-def test_variants_are_learned_and_compared(tmp_path):
+def test_variants_are_learned_and_compared(tmp_path, monkeypatch):
     scene, listener = design(tmp_path, E), Listener()
     path, good = run_ablation(scene, [], tmp_path / "out", threads=2, seeds=2, rates=[0.1, 1e-6], reporter=listener)
     assert good
     result = json.loads(path.read_text())
     assert listener.said[-2:] == [
-        "trying 2 learning rates with 2 variants, 2 at once", "learning 2 variants from 2 seeds, 2 at once",
-    ]  # fmt: skip
+        "trying 2 learning rates with 2 variants, 2 at once",
+        "learning 2 variants from 2 seeds, 2 at once; 2 of 4 runs are there already",  # trials of the better rate
+    ]
     assert (result["compared"], result["better"]) == ("tip", "smaller")
     for name, entry in result["variants"].items():
         assert entry["rate"] == "0.1"  # the other hardly moves
@@ -104,6 +105,11 @@ def test_variants_are_learned_and_compared(tmp_path):
     assert result["effects"]["youngs_modulus"]["mean"] == pytest.approx(free - alone, rel=1e-9)
     rows = list(csv.DictReader(path.with_suffix(".csv").read_text().splitlines()))
     assert [row["variant"] for row in rows] == ["control", "youngs_modulus"]
+    # the same command again starts no process, neither for trials nor for runs
+    with monkeypatch.context() as patch:
+        patch.setattr(Member, "start", None)
+        assert run_ablation(scene, [], tmp_path / "out", threads=2, seeds=2, rates=[0.1, 1e-6]) == (path, True)
+    assert json.loads(path.read_text()) == result
     assert draw_ablation(path)[0].stat().st_size > 10_000
     text = "\n".join(ablation_lines(path))
     assert text.startswith("2 variants from 2 seeds; mean and 90% interval; smaller is better")
@@ -275,7 +281,7 @@ def test_stopped_it_says_of_how_many_seeds_it_can_compare_all(tmp_path, monkeypa
             run.failure = "not begun"
         talk.stop.ask(signal.SIGINT)
 
-    monkeypatch.setattr(ablation, "run_fleet", stopped)
+    monkeypatch.setattr(members, "run_fleet", stopped)
     for ended, now in ((1, ""), (5, "; with --seeds 2 it compares the finished runs")):
         told = rf"^{ended} of 6 runs are finished; the same command continues{now}$"
         with pytest.raises(Stopped, match=told):

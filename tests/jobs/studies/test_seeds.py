@@ -17,7 +17,7 @@ from small_finger import written
 
 from cqrun.errors import Stopped, UsageError
 from cqrun.jobs.resume import run_resume
-from cqrun.jobs.studies import seeds
+from cqrun.jobs.studies import members, seeds
 from cqrun.jobs.studies.seeds import _summary, interval, run_seeds, summary_lines
 from cqrun.running.fleet import Member
 from cqrun.running.runs import EXTENDED
@@ -40,7 +40,7 @@ def test_the_interval_is_students():
     assert interval([3.0]) == Mean(mean=3.0, low=None, high=None)
 
 
-def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
+def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path, monkeypatch):
     listener = Listener()
     path, good = run_seeds(finger, [], tmp_path / "out", threads=2, seeds=2, jobs=2, reporter=listener)
     assert good
@@ -65,6 +65,14 @@ def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
     assert f"to draw them together: cqrun plot {summary['seeds']['0']['run']} {run}" in text
     assert any(line.startswith("learning from 2 seeds, 2 at once") for line in listener.said)
     assert listener.parts[-1][2] == "2 of 2 seeds"
+    # the same command again starts no process
+    again = Listener()
+    with monkeypatch.context() as patch:
+        patch.setattr(Member, "start", None)
+        assert run_seeds(finger, [], tmp_path / "out", threads=2, seeds=2, jobs=2, reporter=again) == (path, True)
+    assert again.said[-1].endswith("; 2 of 2 seeds are there already")
+    assert not any("compiling" in line for line in again.said)
+    assert json.loads(path.read_text()) == summary
     # and with one that failed, or with one alone
     runs = [Member(f"seed {k}", Path(entry["run"]), [], 2) for k, entry in enumerate(summary["seeds"].values())]
     runs[0].failure = "blew up"
@@ -110,7 +118,7 @@ def test_seeds_that_change_nothing_are_told(tmp_path):
 
 
 def test_seeds_that_will_change_nothing_are_warned_of(finger, tmp_path, monkeypatch):
-    monkeypatch.setattr(seeds, "run_fleet", lambda *rest: None)
+    monkeypatch.setattr(members, "run_fleet", lambda *rest: None)
     monkeypatch.setattr(seeds, "_summary", lambda *rest: SeedsSummary(scene="s", confidence=0.9, seeds={}, all={}))
     warned = {}
     for controller, optimizer in itertools.product(
@@ -128,7 +136,7 @@ def test_a_stopped_command_says_how_to_go_on(finger, tmp_path, monkeypatch):
         runs[1].failure = "asked to stop"
         talk.stop.ask(signal.SIGINT)
 
-    monkeypatch.setattr(seeds, "run_fleet", stopped)
+    monkeypatch.setattr(members, "run_fleet", stopped)
     with pytest.raises(Stopped, match="2 of 3 seeds are finished; the same command continues the others") as ended:
         run_seeds(finger, [], tmp_path, threads=1, seeds=3)
     assert ended.value.exit_code == 130
@@ -137,7 +145,7 @@ def test_a_stopped_command_says_how_to_go_on(finger, tmp_path, monkeypatch):
 
 def test_permission_and_fresh_are_handed_on(finger, tmp_path, monkeypatch):
     asked = []
-    monkeypatch.setattr(seeds, "run_fleet", lambda runs, at_once, *rest: asked.append((runs[2].command, at_once)))
+    monkeypatch.setattr(members, "run_fleet", lambda runs, at_once, *rest: asked.append((runs[2].command, at_once)))
     monkeypatch.setattr(seeds, "_summary", lambda *rest: SeedsSummary(scene="s", confidence=0.9, seeds={}, all={}))
     run_seeds(finger, ["time.duration=0.05"], tmp_path, fresh=True, threads=4, seeds=3, jobs=2, allow_plugins=True)
     command, at_once = asked[0]

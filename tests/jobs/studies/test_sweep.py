@@ -65,7 +65,7 @@ def test_a_wider_sweep_uses_the_runs_that_are_finished(swept):
     before = {run.run: (Path(run.run) / "result.json").stat().st_mtime_ns for run in read_sweep(path).runs}
     options, listener = SweepOptions([f"{E}=4e4,8e4", f"{NU}=0.2,0.3,0.4"], jobs=2), Listener()
     wider, good = run_sweep(folder / "beam.yaml", [], folder / "out", options, threads=2, reporter=listener)
-    assert "2 runs of simulate, 2 at once; 4 of 6 are there already" in listener.said
+    assert "6 runs of simulate, 2 at once; 4 of 6 runs are there already" in listener.said
     assert good
     assert wider != path
     runs = [run.run for run in read_sweep(wider).runs]
