@@ -1,4 +1,5 @@
-"""python -m benchmarks.papers [--size quick|paper] [--only ID ...] [--minutes N] [--list] [--judge] [--page]
+"""python -m benchmarks.papers [--size quick|paper] [--only ID ...] [--minutes N] [--on PLACE]
+                            [--list] [--judge] [--page]
 
 Do the tasks that are missing, continue those that were stopped, and skip those that are done. Then write each figure's
 CSV, PNG, PDF and verdict to results/figures/SIZE, and results/figures/index.html. What an unfinished figure needs to
@@ -23,6 +24,7 @@ from benchmarks.papers.machinery.publish import Publication
 from benchmarks.papers.machinery.rebuild import Rebuild
 from benchmarks.papers.machinery.task import TaskError, duration
 from cqrun.errors import CqrunError, UsageError
+from cqrun.running.cluster import PROCESSES, require_place
 from cqrun.store.atomic import make_directory
 
 RESULTS = ROOT / "results"
@@ -36,6 +38,7 @@ def main(words: Sequence[str] | None = None) -> int:
     size = Size(options.size)
     publications = [Publication(FIGURES[name], size, options.out) for name in options.only or FIGURES]
     try:
+        require_place(options.on)
         if options.unpublished:
             publications = [each for each in publications if not _is_published(each)]
         if options.list:
@@ -65,6 +68,8 @@ def _options(words: Sequence[str] | None) -> argparse.Namespace:
     stop = "stop after so many minutes (a run may need two more to finish its iteration); the rest continues later"
     add("--minutes", type=float, default=float("inf"), help=stop)
     add("--jobs", type=int, default=2, help="runs side by side")
+    place = "where seeds and variants run: processes (here), dask, dask://HOST:PORT or slurm; all else runs here"
+    add("--on", default=PROCESSES, metavar="PLACE", help=place)
     add("--runs", type=Path, default=RESULTS / "papers", help="the folder of the runs")
     add("--out", type=Path, default=RESULTS / "figures", help="the folder of the figures")
     add("--unpublished", action="store_true", help="skip figures that are complete in --out")
@@ -100,7 +105,9 @@ def _run(publications: Sequence[Publication], size: Size, options: argparse.Name
         status = _judge_again(publications)
     elif not options.page:
         figures = [each.figure for each in publications]
-        status = Rebuild(figures, size, options.runs / size, options.out, options.minutes, options.jobs).run()
+        status = Rebuild(
+            figures, size, options.runs / size, options.out, options.minutes, options.jobs, options.on
+        ).run()
     damaged = write_page(FIGURES.values(), options.out)
     print(f"\n{options.out / 'index.html'}", *damaged, sep="\n")
     return status or (FAILED if damaged else 0)

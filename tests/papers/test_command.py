@@ -52,6 +52,12 @@ def test_no_time_is_no_work(tmp_path, capsys):
     assert "not everything is done: the same command continues" in capsys.readouterr().out
 
 
+def test_a_place_that_is_none_is_refused(tmp_path, capsys):
+    assert command.main(["--on", "moon", "--runs", str(tmp_path / "r"), "--out", str(tmp_path / "o")]) == 2
+    assert "--on moon: no such place; there are processes, dask, " in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_folder_for_runs_that_cannot_be_made_is_reported_with_its_option(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert command.main(["--only", "cq2_fracture", "--runs", str(tmp_path / "file"), "--out", str(tmp_path / "o")]) == 2

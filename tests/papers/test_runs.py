@@ -91,8 +91,13 @@ def test_seeds_and_variants_run_side_by_side(tmp_path, monkeypatch):
     monkeypatch.setattr(RUN_ONCE, lambda command, *_: commands.append(command) or Ended(0, "", 0.0))
     monkeypatch.setattr("benchmarks.papers.machinery.runs.cores", lambda threads: 4)
     for seeds, options, share in ((0, (), 1.0), (1, (), 0.5), (3, (), 1.0), (1, ("--ablate",), 1.0)):
-        replace(TEAR, seeds=seeds, options=options).advance(tmp_path, 1.0, 2, share)
-    for option, given in (("--jobs", ["", "1", "2", "2"]), ("--threads", ["", "2", "", ""])):
+        replace(TEAR, seeds=seeds, options=options).advance(tmp_path, 1.0, 2, share, "dask://login:8786")
+    place = "dask://login:8786"
+    for option, given in (
+        ("--jobs", ["", "1", "2", "2"]),
+        ("--threads", ["", "2", "", ""]),
+        ("--on", ["", place, place, place]),
+    ):
         assert [words[words.index(option) + 1] if option in words else "" for words in commands] == given
 
 

@@ -14,6 +14,7 @@ from benchmarks.papers.machinery.measurement import Measurement
 from benchmarks.papers.machinery.process import ROOT
 from benchmarks.papers.machinery.task import Task
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
+from cqrun.running.cluster import PROCESSES
 from cqrun.store.atomic import write_json
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ class Reading(Measurement):
     def engine(self, folder: Path) -> str:
         return str(json.loads(MEASURED.read_text())["engine"])
 
-    def advance(self, folder: Path, seconds: float, jobs: int, share: float) -> bool:
+    def advance(self, folder: Path, seconds: float, jobs: int, share: float, on: str = PROCESSES) -> bool:
         return self.measure(folder, seconds)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from benchmarks.papers.machinery.task import Task, digest, numbers_of
 from cqrun.fingerprint import engine_hash
+from cqrun.running.cluster import PROCESSES
 from cqrun.store.atomic import write_json
 
 
@@ -39,7 +40,7 @@ class Measurement(Task):
         """Return a hash of the command, the settings and the files."""
         return digest(*(word.encode() for word in (self.typed, *self.settings)), *map(_content, self.files))
 
-    def advance(self, folder: Path, seconds: float, jobs: int, share: float) -> bool:
+    def advance(self, folder: Path, seconds: float, jobs: int, share: float, on: str = PROCESSES) -> bool:
         """Measure for a limited time; return whether it is finished. Results of two engines are not mixed."""
         if self.engine(folder) != engine_hash():
             self.start_over(folder)

@@ -14,6 +14,7 @@ from benchmarks.papers.machinery.publish import Publication, Record, attempt, be
 from benchmarks.papers.machinery.scheduler import schedule
 from benchmarks.papers.machinery.task import Task, duration
 from cqrun.errors import CqrunError
+from cqrun.running.cluster import PROCESSES
 
 
 class Rebuild:
@@ -26,10 +27,14 @@ class Rebuild:
         out: results/figures.
         minutes: how long it may take; the rest continues later.
         jobs: runs side by side.
+        on: where tasks with several runs make them: here, or a place as of `cqrun control --on`.
     """
 
-    def __init__(self, figures: Sequence[Figure], size: Size, runs: Path, out: Path, minutes: float, jobs: int) -> None:
-        self.figures, self.size, self.runs, self.out, self.jobs = figures, size, runs, out, jobs
+    def __init__(
+        self, figures: Sequence[Figure], size: Size, runs: Path, out: Path, minutes: float, jobs: int,
+        on: str = PROCESSES,
+    ) -> None:  # fmt: skip
+        self.figures, self.size, self.runs, self.out, self.jobs, self.on = figures, size, runs, out, jobs, on
         self.start = time.monotonic()
         self.deadline = self.start + 60.0 * minutes
         self.errors: list[str] = []
@@ -89,7 +94,7 @@ class Rebuild:
         if seconds <= 0.0:
             return False
         print(f"    {task.name}: starts (about {duration(self._left([task]) / share)})", flush=True)
-        return task.do(self.runs / task.name, seconds, self.jobs, share)
+        return task.do(self.runs / task.name, seconds, self.jobs, share, self.on)
 
     def _publish_ended(self) -> None:
         """Publish the figures whose tasks have all ended."""

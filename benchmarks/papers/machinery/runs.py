@@ -12,6 +12,7 @@ from pathlib import Path
 from benchmarks.papers.machinery.process import FAILED, ROOT, STOPPED, USAGE, run_command
 from benchmarks.papers.machinery.task import Task, TaskError, digest, duration, numbers_of
 from cqrun.errors import CqrunError
+from cqrun.running.cluster import PROCESSES
 from cqrun.running.threads import cores
 from cqrun.store.run import FINISHED, read_record
 
@@ -70,12 +71,13 @@ class Runs(Task):
         files = sorted(_files_in(scene, self.path.parent))
         return digest(json.dumps(content, sort_keys=True).encode(), *(file.read_bytes() for file in files))
 
-    def advance(self, folder: Path, seconds: float, jobs: int, share: float) -> bool:
+    def advance(self, folder: Path, seconds: float, jobs: int, share: float, on: str = PROCESSES) -> bool:
         """Run cqrun for a limited time; return whether it is finished."""
         command = [sys.executable, "-m", "cqrun", self.job, str(self.path), *self.words]
         command += ["--quiet", "--out", str(folder)]
         if self.seeds:
             command += ["--jobs", str(jobs if "--ablate" in self.options else min(jobs, self.seeds))]
+            command += ["--on", on]
         if share < 1.0:
             command += ["--threads", str(max(1, int(share * cores(None))))]
         start, spent = time.monotonic(), self.spent(folder)

@@ -24,6 +24,7 @@ import yaml
 from cqrun.errors import CqrunError
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine
+from cqrun.running.cluster import PROCESSES
 from cqrun.store.atomic import make_directory, write_json
 
 DONE, CLOCK, REMARK = "done.json", "clock.json", "remark.json"
@@ -70,7 +71,7 @@ class Task(ABC):
         """Return a hash of what its result depends on, except the engine and the number of seeds."""
 
     @abstractmethod
-    def advance(self, folder: Path, seconds: float, jobs: int, share: float) -> bool:
+    def advance(self, folder: Path, seconds: float, jobs: int, share: float, on: str = PROCESSES) -> bool:
         """Work for a limited time with a share of the machine; return whether it is finished."""
 
     def failures(self, folder: Path) -> list[str]:
@@ -103,7 +104,7 @@ class Task(ABC):
         """Return an estimate of the minutes that are left, at least a tenth of all."""
         return max(0.1 * self.minutes, self.minutes - self.spent(folder) / 60.0)
 
-    def do(self, folder: Path, seconds: float, jobs: int, share: float = 1.0) -> bool:
+    def do(self, folder: Path, seconds: float, jobs: int, share: float = 1.0, on: str = PROCESSES) -> bool:
         """Begin or continue the task; return whether it is done.
 
         Args:
@@ -111,12 +112,13 @@ class Task(ABC):
             seconds: how long it may take.
             jobs: runs side by side, if it has several.
             share: of the machine that the task has for itself.
+            on: where it makes its runs, if it has several: here, or a place as of `cqrun control --on`.
         """
         if not self.begun(folder):
             _clear(folder)
             self._begin(folder)
         with _timed(folder, share):
-            finished = self.advance(folder, seconds, jobs, share)
+            finished = self.advance(folder, seconds, jobs, share, on)
         if finished:
             facts = {"command": self.command, "seeds": self.seeds, "machine": machine()}
             write_json(folder / DONE, _read(folder / CLOCK) | facts)
