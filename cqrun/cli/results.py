@@ -29,7 +29,7 @@ def print_run(run: Path, allow_plugins: bool) -> None:
 
 
 def draw_and_print_run(run: Path, quiet: bool, allow_plugins: bool) -> None:
-    """Draw a run, if its job has pictures, write its report, and print it.
+    """Draw a run, if its job has pictures, write its report, and print it; what is there already stays.
 
     An error while drawing or reporting does not make the run fail.
 
@@ -42,6 +42,10 @@ def draw_and_print_run(run: Path, quiet: bool, allow_plugins: bool) -> None:
     stopped = f"stopped while pictures were drawn; the run is finished, and `cqrun plot {run}` draws them"
     drawn: list[Path] | None = None
     try:
+        if is_shown(run, allow_plugins):
+            if not quiet:
+                echo(_shown_already(run), err=True)
+            return
         if job_of(run).pictures and pictures_wanted():
             with working(quiet, allow_plugins, "drawing pictures", stopped):
                 from cqrun.figures.draw import draw_run
@@ -80,16 +84,18 @@ def draw_and_print_resolution(study: Path, succeeded: bool, quiet: bool, allow_p
     from cqrun.cli.progress import working
     from cqrun.jobs.studies.resolution import resolution_lines, runs_of
 
+    runs = [run for run in runs_of(study) if not is_shown(run, allow_plugins)]
+
     stopped = f"stopped while pictures were drawn; the runs are finished, and the numbers are in {study}"
     drawn: dict[Path, list[Path] | None] = {}
     try:
-        if pictures_wanted():
+        if runs and pictures_wanted():
             with working(quiet, allow_plugins, "drawing pictures", stopped):
                 from cqrun.figures.draw import draw_run
 
-                for run in runs_of(study):
+                for run in runs:
                     drawn[run] = _draw(partial(draw_run, run), f"`cqrun plot {run}` shows the details")
-        for run in runs_of(study):
+        for run in runs:
             _report(run, drawn.get(run), quiet, allow_plugins)
         _report(study, None, quiet, allow_plugins)
     finally:
@@ -115,6 +121,34 @@ def draw_and_print_sweep(study: Path, succeeded: bool, quiet: bool, allow_plugin
         _print_study(sweep_lines(study), study)
     if not succeeded:
         raise typer.Exit(1)
+
+
+def is_shown(run: Path, allow_plugins: bool) -> bool:
+    """Return whether a run has all its pictures and its report: made in this order, after its result."""
+    from cqrun.errors import CqrunError
+    from cqrun.figures.draw import pictures_of
+    from cqrun.jobs.table import job_of
+    from cqrun.scene.plugin_files import plugins_allowed
+    from cqrun.store.folder import REPORT
+    from cqrun.store.result import result_file
+
+    result, report = result_file(run), run / REPORT
+    try:
+        with plugins_allowed(allow_plugins):
+            pictures = pictures_of(run) if job_of(run).pictures and pictures_wanted() else []
+    except CqrunError:  # drawing reports it
+        return False
+    if result is None or not report.is_file() or not all(picture.is_file() for picture in pictures):
+        return False
+    began, *drawn, reported = (file.stat().st_mtime_ns for file in (result, *pictures, report))
+    return began <= reported and all(began <= time <= reported for time in drawn)
+
+
+def _shown_already(run: Path) -> str:
+    """Return a sentence on how to draw and report a run again."""
+    if pictures_wanted():
+        return printable(f"pictures and report are there; `cqrun plot {run}` and `cqrun report {run}` make them again")
+    return printable(f"the report is there; `cqrun report {run}` writes it again")
 
 
 def pictures_wanted() -> bool:

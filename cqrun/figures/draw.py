@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,9 @@ from cqrun.store.result import RESULT, SysidResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+Picture = tuple[str, Callable[[], "Figure"]]
+"""A picture: the name of its file without suffix, and a function that draws it."""
 
 MOST_NAMES = 5
 """Largest number of scenes in the name of a comparison."""
@@ -62,9 +66,20 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",), folder: Path | None = 
     figures = make_below(path, FIGURES) if folder is None else folder
     written: list[Path] = []
     with styled():
-        for name, figure in _figures(run):
-            written += save(figure, figures / name, kinds)
+        for name, draw in _figures(run):
+            written += save(draw(), figures / name, kinds)
     return written
+
+
+def pictures_of(path: Path) -> list[Path]:
+    """Return the pictures that `draw_run` makes of a run, whether they are there or not.
+
+    Raises:
+        UsageError: the path is not a run, or a file is missing or damaged.
+    """
+    run = read_run(path)
+    require_files(run)
+    return [path / FIGURES / f"{name}.png" for name, _ in _figures(run)]
 
 
 def require_files(run: RunData) -> None:
@@ -88,59 +103,59 @@ def require_files(run: RunData) -> None:
         raise UsageError(f"{run.path}: there is no {TRAJECTORY}: nothing to draw before the first frame")
 
 
-def _figures(run: RunData) -> list[tuple[str, Figure]]:
-    """Return names and pictures of everything that a run has, of the pictures of its job."""
+def _figures(run: RunData) -> list[Picture]:
+    """Return everything that can be drawn of a run, of the pictures of its job."""
     return [drawn for picture in job_of(run.path).pictures for drawn in PICTURES[picture](run)]
 
 
-def _convergence(run: RunData) -> Iterator[tuple[str, Figure]]:
+def _convergence(run: RunData) -> Iterator[Picture]:
     if run.history:
-        yield "convergence", draw_convergence(run)
+        yield "convergence", partial(draw_convergence, run)
 
 
-def _tracks(run: RunData) -> Iterator[tuple[str, Figure]]:
+def _tracks(run: RunData) -> Iterator[Picture]:
     if run.has_tables():
         for tracks in run.tracks():
             draw = draw_rest if tracks.at_rest else draw_recording
-            yield f"tracks_{tracks.recording}", draw(tracks, run.name)
+            yield f"tracks_{tracks.recording}", partial(draw, tracks, run.name)
 
 
-def _bodies(run: RunData) -> Iterator[tuple[str, Figure]]:
+def _bodies(run: RunData) -> Iterator[Picture]:
     if run.has_trajectory():
-        yield "bodies", draw_bodies(run)
+        yield "bodies", partial(draw_bodies, run)
 
 
-def _design(run: RunData) -> Iterator[tuple[str, Figure]]:
+def _design(run: RunData) -> Iterator[Picture]:
     if run.has_trajectory() and (shown := designed_quantities(run)):
-        yield "design", draw_design(run, shown)
+        yield "design", partial(draw_design, run, shown)
 
 
-def _shape(run: RunData) -> Iterator[tuple[str, Figure]]:
+def _shape(run: RunData) -> Iterator[Picture]:
     if run.has_trajectory() and has_new_shape(run):
-        yield "shape", draw_shape(run)
+        yield "shape", partial(draw_shape, run)
 
 
-def _path(run: RunData) -> Iterator[tuple[str, Figure]]:
+def _path(run: RunData) -> Iterator[Picture]:
     if has_path(run):
-        yield "path", draw_path(run)
+        yield "path", partial(draw_path, run)
 
 
-def _reactions(run: RunData) -> Iterator[tuple[str, Figure]]:
+def _reactions(run: RunData) -> Iterator[Picture]:
     if has_reactions(run):
-        yield "reactions", draw_reactions(run)
+        yield "reactions", partial(draw_reactions, run)
 
 
-def _measured(run: RunData) -> Iterator[tuple[str, Figure]]:
-    if has_measured(run) and (figure := draw_measured(run)) is not None:
-        yield "measured", figure
+def _measured(run: RunData) -> Iterator[Picture]:
+    if has_measured(run):
+        yield "measured", partial(draw_measured, run)
 
 
-def _overview(run: RunData) -> Iterator[tuple[str, Figure]]:
+def _overview(run: RunData) -> Iterator[Picture]:
     if run.succeeded and (run.history or run.scene.predicts_only):
-        yield "overview", draw_overview(run)
+        yield "overview", partial(draw_overview, run)
 
 
-PICTURES: dict[str, Callable[[RunData], Iterator[tuple[str, Figure]]]] = {
+PICTURES: dict[str, Callable[[RunData], Iterator[Picture]]] = {
     "convergence": _convergence,
     "tracks": _tracks,
     "bodies": _bodies,
@@ -151,7 +166,7 @@ PICTURES: dict[str, Callable[[RunData], Iterator[tuple[str, Figure]]]] = {
     "reactions": _reactions,
     "measured": _measured,
 }
-"""Pictures by the names that jobs give them; each yields a name and a picture if a run has what it shows."""
+"""Pictures by the names that jobs give them; each yields those of which a run has what they show."""
 
 
 def draw_several(

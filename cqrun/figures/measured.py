@@ -28,16 +28,23 @@ LONG = 36
 
 
 def has_measured(run: RunData) -> bool:
-    """Return whether a run has measured quantities."""
-    return bool(run.scene.measure) and (run.path / TABLE).is_file() and run.has_trajectory()
+    """Return whether a run has measured quantities: two values of each or more."""
+    return _measured(run) is not None
 
 
-def draw_measured(run: RunData) -> Figure | None:
-    """Draw a panel for each quantity, with a line for each of its components; None if the file has none."""
+def _measured(run: RunData) -> MeasuredQuantities | None:
+    """Return the measured quantities of a run; None if there are none to draw."""
+    if not run.scene.measure or not (run.path / TABLE).is_file() or not run.has_trajectory():
+        return None
     with run.frames() as frames:
         measured = frames.read_measured()
-    if measured is None or len(measured.time) < 2:
-        return None
+    return None if measured is None or len(measured.time) < 2 else measured
+
+
+def draw_measured(run: RunData) -> Figure:
+    """Draw a panel for each quantity of a run that has some, with a line for each of its components."""
+    measured = _measured(run)
+    assert measured is not None
     label, along = _along(run, measured)
     shown = list(measured.quantities.items())[:MOST]
     columns = min(ACROSS, len(shown))

@@ -348,8 +348,13 @@ def read_result(run: Path) -> Result | None:
     Raises:
         UsageError: its file is damaged, or another program wrote it.
     """
-    file = next((file for name in (RESULT, GRADCHECK) if (file := run / name).is_file()), None)
+    file = result_file(run)
     return None if file is None else read_result_file(file)
+
+
+def result_file(run: Path) -> Path | None:
+    """Return the file with the result of the run in a directory; None if it has no result."""
+    return next((file for name in (RESULT, GRADCHECK) if (file := run / name).is_file()), None)
 
 
 def read_result_file(file: Path) -> Result:
