@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import AllowPlugins, Fresh, Jobs, On, Out, Overrides, Quiet, Scene, Threads
+from cqrun.cli.options import AllowPlugins, Fresh, Jobs, On, Out, Overrides, Quiet, Threads
 from cqrun.store.places import results_in
 
 Axes = Annotated[
@@ -37,7 +38,10 @@ Show = Annotated[
 
 
 def sweep(
-    scene: Scene,
+    scene: Annotated[
+        Path,
+        typer.Argument(metavar="SCENE|RUN", help="Scene file (YAML), or a run of a scene.", show_default=False),
+    ],
     axes: Axes = None,
     samples: Samples = None,
     random: Random = False,
@@ -57,6 +61,8 @@ def sweep(
     """Run a scene with many values of some of its keys, several at once, and make a table of what was found.
 
     All combinations of the values are run. Use the same command again to continue, or a wider one to add points.
+    Instead of a scene you can give a run: its scene is run by the same command. With --job simulate, every run replays
+    the controller or the values that the run has found.
     """
     from cqrun.cli.progress import working
     from cqrun.cli.results import draw_and_print_sweep

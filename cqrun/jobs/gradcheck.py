@@ -43,15 +43,13 @@ from cqrun.running.finite_differences import (
 )
 from cqrun.running.gradient_memory import gradient_plan
 from cqrun.running.kernels import compile_kernels
-from cqrun.running.reporter import Reporter
+from cqrun.running.reporter import Reporter, Silent
 from cqrun.running.rest_loss import rest_loss
 from cqrun.running.runs import build_and_warn
 from cqrun.running.state_loss import state_loss
-from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.store.result import Direction, GradcheckResult, Verdict, write_result
 from cqrun.store.run import RunDirectory, read_record
-from cqrun.store.run_scene import stem_of
 
 VERDICTS: dict[Verdict, str] = {
     AGREES: "",
@@ -171,9 +169,8 @@ def run_gradcheck(
     Raises:
         SceneError, UsageError: bad input. RunError: the scene blows up with its start values. Stopped: asked to stop.
     """
-    source = Path(source)
-    scene = load_scene(source, overrides)
-    run = GRADCHECK.start(stem_of(source), scene, out, fresh=fresh, threads=threads, reporter=reporter)
+    given = GRADCHECK.read(Path(source), overrides, reporter or Silent())
+    run = GRADCHECK.start(given.stem, given.scene, out, fresh=fresh, threads=threads, reporter=reporter)
     return run, read_record(run)["status"] == "done"
 
 

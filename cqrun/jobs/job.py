@@ -14,16 +14,19 @@ from cqrun.build.model import Built
 from cqrun.errors import Problem, SceneError, StopAsked, UsageError
 from cqrun.running.reporter import Reporter, Silent
 from cqrun.running.runs import (
+    Source,
     finished_already,
+    is_run,
     open_run,
     raise_if_failed,
     refuse_overrides,
     require_extension,
     require_same_data,
     saved_scene,
+    scene_of,
 )
 from cqrun.running.threads import cores
-from cqrun.scene.load import dump, load_scene, resolve
+from cqrun.scene.load import dump, resolve
 from cqrun.scene.schema import Scene
 from cqrun.scene.sections import JobName
 from cqrun.store.atomic import write_bytes
@@ -124,7 +127,7 @@ class Job(ABC, Generic[P, R]):
         """Start or continue the job for a scene file; return the run's directory.
 
         Args:
-            source: the scene file.
+            source: the scene file, or a run, as `read`.
             overrides: list of `key.path=value`.
             out: directory of all results.
             fresh: delete an existing run and start again.
@@ -134,9 +137,23 @@ class Job(ABC, Generic[P, R]):
         Raises:
             SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
         """
-        source = Path(source)
-        scene = load_scene(source, overrides)
-        return raise_if_failed(self.start(stem_of(source), scene, out, fresh=fresh, threads=threads, reporter=reporter))
+        given = self.read(Path(source), overrides, reporter or Silent())
+        return raise_if_failed(
+            self.start(given.stem, given.scene, out, files=given.files, fresh=fresh, threads=threads, reporter=reporter)
+        )
+
+    def read(self, source: Path, overrides: Sequence[str], talk: Reporter) -> Source:
+        """Return what the command runs: the scene of a file, or of a run of the same command.
+
+        Raises:
+            SceneError, UsageError: the scene is wrong, or the run is of another command.
+        """
+        if is_run(source) and (job := read_record(source).get("job")) != self.name:
+            raise UsageError(
+                f"{source}: is a run of {job}; `cqrun {self.name}` takes a scene, or a run of {self.name}, whose scene "
+                "it runs: give the file of the scene"
+            )
+        return Source(stem_of(source), scene_of(source, overrides))
 
     @final
     def start(

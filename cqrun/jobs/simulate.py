@@ -41,7 +41,7 @@ from cqrun.running.observables import Observables
 from cqrun.running.passing import Passing
 from cqrun.running.reaction_table import summary_of, with_reactions, write_reaction_table
 from cqrun.running.reporter import Reporter, Silent
-from cqrun.running.runs import build_and_warn, raise_if_failed
+from cqrun.running.runs import Source, build_and_warn, raise_if_failed
 from cqrun.running.tables import number, table
 from cqrun.running.trajectories import as_found, write_activation, write_trajectory
 from cqrun.scene.paths import get
@@ -83,6 +83,10 @@ class Simulate(Job[Simulation, SimulateResult]):
         agent = make_agent(built, files.get(FILE), talk)
         values = identified_values(built, files.get(IDENTIFIED))
         return Simulation(built if agent is None else agent.built, agent, values, threads)
+
+    def read(self, source: Path, overrides: Sequence[str], talk: Reporter) -> Source:
+        """Return the scene of a file, or the scene and the result of a run, as `acting_in`."""
+        return acting_in(source, overrides, None, talk)
 
     def reads_data(self, scene: Scene) -> bool:
         """Return False: a simulation reads no recordings."""
@@ -207,10 +211,8 @@ def run_simulate(
         SceneError, UsageError: bad input. RunError: the scene blew up. Stopped: asked to stop.
     """
     talk = reporter or Silent()
-    acting = acting_in(Path(source), overrides, None if controller is None else Path(controller), talk)
-    run = SIMULATE.start(
-        acting.stem, acting.scene, out, files=acting.files, fresh=fresh, threads=threads, reporter=talk
-    )
+    given = acting_in(Path(source), overrides, None if controller is None else Path(controller), talk)
+    run = SIMULATE.start(given.stem, given.scene, out, files=given.files, fresh=fresh, threads=threads, reporter=talk)
     return raise_if_failed(run)
 
 

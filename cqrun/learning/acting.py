@@ -5,8 +5,8 @@ A run directory gives its scene and its result: `controller.npz` of control and 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from cqrun.build.model import Built
@@ -24,35 +24,19 @@ from cqrun.learning.replay import (
 )
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter
-from cqrun.running.runs import scene_in
+from cqrun.running.runs import Source, scene_of
 from cqrun.running.unknowns import make_params
-from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.store.result import LEARNED, RESULT
 from cqrun.store.run import FINISHED, read_record
 from cqrun.store.run_scene import stem_of
 
 
-@dataclass(frozen=True)
-class Acting:
-    """A scene with the result of a run.
-
-    Attributes:
-        stem: name of the scene's file without its ending.
-        scene: the scene, with the single numbers that the run found.
-        files: the file with all other values, by the name of the copy that a run keeps; empty without a result.
-    """
-
-    stem: str
-    scene: Scene
-    files: Mapping[str, Path]
-
-
-def acting_in(source: Path, overrides: Sequence[str], controller: Path | None, talk: Reporter) -> Acting:
+def acting_in(source: Path, overrides: Sequence[str], controller: Path | None, talk: Reporter) -> Source:
     """Return the scene and the result to simulate.
 
     Args:
-        source: a scene file, or a run directory.
+        source: a scene file, or a run directory; the scene of a run of simulate, which learned nothing, is run again.
         controller: file of a controller that replaces that of the scene or of the run.
 
     Raises:
@@ -66,17 +50,16 @@ def acting_in(source: Path, overrides: Sequence[str], controller: Path | None, t
     if trained is not None:
         learned = learned_in(trained)
     elif identified is not None:
-        learned = identified_in(identified, unchanged or _scene(source, ()))
+        learned = identified_in(identified, unchanged or scene_of(source, ()))
     if file is not None:
         refuse_learned(file, learned, unchanged, overrides)
     overrides = [*_standing_goals(unchanged), *overrides]
-    scene = _scene(source, overrides)
+    scene = scene_of(source, overrides)
     if file is not None:
         same_step = [] if trained is None else _same_substeps(trained, scene, talk)
-        scene = _scene(source, [*as_overrides(file, learned, scene), *same_step, *overrides])
-    stem = source.resolve().parent.name if source.is_dir() else stem_of(source)
+        scene = scene_of(source, [*as_overrides(file, learned, scene), *same_step, *overrides])
     files = {name: file for name, file in ((FILE, trained), (IDENTIFIED, identified)) if file is not None}
-    return Acting(stem, scene, files)
+    return Source(stem_of(source), scene, files)
 
 
 def _same_substeps(controller: Path, scene: Scene, talk: Reporter) -> list[str]:
@@ -96,15 +79,10 @@ def _same_substeps(controller: Path, scene: Scene, talk: Reporter) -> list[str]:
     return []
 
 
-def _scene(source: Path, overrides: Sequence[str]) -> Scene:
-    """Return the scene of a file or of a run."""
-    return scene_in(source, overrides) if source.is_dir() else load_scene(source, overrides)
-
-
 def _unchanged(source: Path) -> Scene | None:
     """Return the scene without overrides, or None if it is not valid; errors are reported for the overridden scene."""
     try:
-        return _scene(source, ())
+        return scene_of(source, ())
     except (SceneError, UsageError):
         return None
 
@@ -116,10 +94,12 @@ def _standing_goals(scene: Scene | None) -> list[str]:
     return [*drawn, "episodes.count=1", "episodes.unseen=0", "episodes.fresh=false"] if drawn else []
 
 
-def _controller_of(run: Path, talk: Reporter) -> Path:
-    """Return the file of a run's controller; raise UsageError if it has none."""
+def _controller_of(run: Path, talk: Reporter) -> Path | None:
+    """Return the file of a run's controller; None for a run of simulate without; UsageError if another has none."""
     record, file = read_record(run), run / FILE
     if not file.is_file():
+        if record.get("job") == "simulate":
+            return None
         why = "no iteration is finished" if record.get("job") in LEARNED else f"it is a run of {record.get('job')}"
         raise UsageError(
             f"{run}: has no trained controller ({why}): `cqrun simulate RUN` replays a run of control, codesign or "

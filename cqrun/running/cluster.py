@@ -36,6 +36,11 @@ POLL_INTERVAL = 0.5
 DEATHS = 5
 """Workers that may die with a run before it counts as failed, on a cluster that is made here."""
 
+UNSEEN = (
+    "a worker does not see the files of this machine, and the scene is that of a run, or names files elsewhere: give "
+    "the scene's file, with what it names below its folder, or use a shared file system"
+)
+
 PROCESSES = "processes"
 """The place of runs on this machine."""
 
@@ -101,8 +106,7 @@ def carry_out(order: Order) -> Outcome:
             time.sleep(POLL_INTERVAL)
         return _process(order, order.source, order.out)
     if order.parcel is None:
-        return Outcome(2, "a worker does not see the files of this machine, and the scene names files elsewhere: "
-                          "put them below the folder of the scene, or use a shared file system")  # fmt: skip
+        return Outcome(2, UNSEEN)
     with tempfile.TemporaryDirectory(prefix="cqrun-") as name:
         here, out = Path(name) / "scene", Path(name) / "out"
         for path, content in order.parcel.files.items():

@@ -6,6 +6,7 @@ import hashlib
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from cqrun.scene.files import DATA, READ_BY_EVERY_JOB, files_by_name, named_file
 from cqrun.scene.keypath import joined
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
+from cqrun.store.folder import RECORD
 from cqrun.store.history import read_history
 from cqrun.store.run import SCENE, RunDirectory, read_record, read_scene
 from cqrun.store.run_scene import RunScene
@@ -147,6 +149,35 @@ def scene_in(folder: Path, overrides: Sequence[str] = (), *, with_data: bool = F
     data = files_by_name(scene, of_data=True) if with_data else {}
     _require_as_begun(folder, record, part_files(scene) | data)
     return scene
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a command runs.
+
+    Attributes:
+        stem: name of the scene, and of the folder of its runs.
+        scene: the scene; in a replay with the single numbers that the replayed run found.
+        files: by name, the files of which the run keeps copies, with all else that a replayed run found.
+    """
+
+    stem: str
+    scene: Scene
+    files: Mapping[str, Path] = field(default_factory=dict)
+
+
+def is_run(source: Path) -> bool:
+    """Return whether a path is the directory of a run, and not the file of a scene."""
+    return source.is_dir() and (source / RECORD).is_file()
+
+
+def scene_of(source: Path, overrides: Sequence[str]) -> Scene:
+    """Return the scene of a file or of a run.
+
+    Raises:
+        SceneError, UsageError: as `load_scene` and `scene_in`.
+    """
+    return scene_in(source, overrides) if is_run(source) else load_scene(source, overrides)
 
 
 def _require_as_begun(run: Path, record: Mapping[str, Any], files: Mapping[str, Path]) -> None:

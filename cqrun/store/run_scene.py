@@ -11,7 +11,12 @@ from cqrun.errors import UsageError
 
 
 def stem_of(scene: Path) -> str:
-    """Return the name of a scene in its results: that of its file without the suffix, but never `.` or `..`."""
+    """Return the name of a scene in its results: that of its file without the suffix, but never `.` or `..`.
+
+    A run has its scene's name, which is that of the folder around it.
+    """
+    if scene.is_dir():
+        return scene.resolve().parent.name
     return scene.stem if scene.stem.strip(".") else scene.name
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from types import SimpleNamespace
 
@@ -326,7 +327,10 @@ def test_a_file_that_saw_other_numbers_or_says_nothing(trained, tmp_path):
 def test_a_run_without_a_controller(trained, tmp_path):
     scene = written(tmp_path)
     untrained = replay(scene, tmp_path / "out")
-    with pytest.raises(UsageError, match=r"has no trained controller \(it is a run of simulate\)"):
+    assert replay(untrained, tmp_path / "out") == untrained  # its scene is run again
+    record = json.loads((untrained / "run.json").read_text())
+    (untrained / "run.json").write_text(json.dumps(record | {"job": "rest"}))
+    with pytest.raises(UsageError, match=r"has no trained controller \(it is a run of rest\)"):
         replay(untrained, tmp_path / "out")
     with pytest.raises(UsageError, match=r"no run \(it has no run.json\)"):
         replay(tmp_path, tmp_path / "out")

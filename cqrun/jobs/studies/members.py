@@ -120,8 +120,10 @@ class Executor:
             run_on_cluster(waiting, self.on, self.at_once, what, talk, source=self.source, out=self.out, parcel=parcel)
 
     def _parcel(self) -> Parcel | None:
-        """Return the scene and the files that it names; None if one is not below the scene's folder."""
+        """Return the scene and the files that it names; None for a run, or if one is not below the scene's folder."""
         scene, source = self.scene, self.source
+        if source.is_dir():
+            return None
         named = part_files(scene) | scene.plugin_paths() | (data_files(scene) if self.job.reads_data(scene) else {})
         folder, files = source.resolve().parent, {source.name: source.read_bytes()}
         for path in (path.resolve() for path in named.values()):

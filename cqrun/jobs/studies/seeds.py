@@ -34,7 +34,7 @@ from cqrun.running.reporter import Reporter, Silent
 from cqrun.running.runs import EXTENDED, optimizer_of, run_scene
 from cqrun.running.tables import number, table
 from cqrun.running.threads import cores
-from cqrun.scene.load import dump, load_scene, resolve
+from cqrun.scene.load import dump, resolve
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
@@ -73,7 +73,7 @@ def run_seeds(
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
     at_once = min(seeds, n_threads if jobs is None else jobs)
-    scene = load_scene(source, overrides)
+    scene = job.read(source, overrides, talk).scene
     executor = Executor(source, out, scene, job, at_once, on)
     folder = make_below(out, stem_of(source))
     problem = job.prepare(scene, 1, talk)

@@ -28,7 +28,7 @@ from cqrun.jobs.table import JOBS
 from cqrun.running.cluster import PROCESSES
 from cqrun.running.fleet import Member
 from cqrun.running.reporter import Reporter, Silent
-from cqrun.running.runs import run_scene, scene_in
+from cqrun.running.runs import Source, is_run, run_scene, scene_in
 from cqrun.running.tables import number, table
 from cqrun.running.threads import cores
 from cqrun.scene.keypath import shortest
@@ -41,7 +41,7 @@ from cqrun.store.model_file import path_of
 from cqrun.store.places import results_in
 from cqrun.store.result import LearnedResult, SimulateResult, read_result
 from cqrun.store.run import read_record
-from cqrun.store.run_scene import stem_of
+from cqrun.store.run_scene import RunScene
 from cqrun.store.study import Found, Sweep, SweptRun, read_sweep, write_study
 
 MOST_ROWS = 40
@@ -90,6 +90,7 @@ def run_sweep(
     """Run a scene at all points of a sweep; return the sweep's JSON file, and whether all runs succeeded.
 
     Args:
+        source: the scene file, or a run.
         threads: number of threads for all processes, which share them equally.
         allow_plugins: passed to the processes.
 
@@ -98,17 +99,17 @@ def run_sweep(
     """
     source, out, talk = Path(source), Path(out), reporter or Silent()
     points, n_threads = options.points(), cores(threads)
-    scene = load_scene(source, overrides)
-    job = _job_of(options.job, scene)
+    job = _job_of(options.job, source, overrides)
+    given = job.read(source, overrides, Silent())
     at_once = min(len(points), options.jobs or n_threads)
-    executor = Executor(source, out, scene, job, at_once, options.on)
+    executor = Executor(source, out, given.scene, job, at_once, options.on)
     words = command_of(job.name, source, out, n_threads // at_once, fresh, allow_plugins)
     names = list(dict.fromkeys(path for point in points for path in point))
     members = list(_members(points, names, words, job, source, overrides, out, talk))
-    path = make_below(out, stem_of(source)) / f"sweep-{_digest(source, scene, job, points)}.json"
+    path = make_below(out, given.stem) / f"sweep-{_digest(given, job, points)}.json"
     executor.run(members, "runs", f"{len(members)} runs of {job.name}, {at_once} at once", talk)
     good = sum(member.failure is None for member in members)
-    sweep = _summary(stem_of(source), job, points, names, members)
+    sweep = _summary(given.stem, job, points, names, members)
     write_study(path, sweep)
     write_table(path.with_suffix(".csv"), table_rows(sweep))
     if talk.stop.asked and good < len(points):
@@ -124,7 +125,8 @@ def sweep(
     """Run a scene file at many points, each in a process of its own.
 
     Args:
-        scene: the scene file.
+        scene: the scene file, or a run, whose scene is run with its own job; a run that learned or identified something
+            is replayed with `job="simulate"`.
         axes: texts such as `key=1,2,3`, `key=1:5:9`, `key=1e4:1e6:log:7` or, with `samples`, `key=1:5`.
         overrides: list of `key.path=value`, the same for all points.
         samples: number of points of a Latin hypercube in the ranges without a count.
@@ -152,9 +154,10 @@ def sweep(
     return read_sweep(path)
 
 
-def _job_of(name: str | None, scene: Scene) -> Job[Any, Any]:
-    """Return the job of a sweep."""
-    chosen = name or scene.job or "simulate"
+def _job_of(name: str | None, source: Path, overrides: Sequence[str]) -> Job[Any, Any]:
+    """Return the job of a sweep: the one that is named, that of a run, or the scene's own."""
+    own = read_record(source)["job"] if is_run(source) else load_scene(source, overrides).job
+    chosen = name or own or "simulate"
     if chosen not in JOBS or chosen == "gradcheck":
         known = [job for job in JOBS if job != "gradcheck"]
         raise UsageError(f"--job {chosen}: there is no such job; there are {listed(known)}")
@@ -176,7 +179,8 @@ def _members(
         label = ", ".join(f"{labels[path]}={value}" for path, value in point.items())
         own = [*overrides, *(f"{path}={value}" for path, value in point.items())]
         try:
-            scene = job.prepare(load_scene(source, own), 1, Silent()).built
+            given = job.read(source, own, Silent())
+            scene = job.prepare(given.scene, 1, Silent(), given.files).built
         except SceneError as error:
             raise SceneError([replace(p, message=f"at {label}: {p.message}") for p in error.problems]) from None
         for warning in map(str, scene.warnings):
@@ -184,15 +188,20 @@ def _members(
                 talk.warn(warning if len(points) == 1 else f"{warning} (first at {label})")
             warned.add(warning)
         optimizer: Any = None if scene.scene.optimizer is None else scene.scene.optimizer.value
-        digest = run_scene(stem_of(source), scene.scene, job=job.name, with_data=job.reads_data(scene.scene)).digest()
+        digest = _inputs(given, scene.scene, job).digest()
         options = [word for override in own for word in ("-o", override)]
         steps = getattr(optimizer, "max_iterations", 1) if job.extensible else 1
-        yield Member(label, out / stem_of(source) / digest, [*words, *options], steps)
+        yield Member(label, out / given.stem / digest, [*words, *options], steps)
 
 
-def _digest(source: Path, scene: Scene, job: Job[Any, Any], points: Sequence[Point]) -> str:
-    """Return the hash of the scene, the job and the points."""
-    digest = run_scene(stem_of(source), scene, job=job.name, with_data=job.reads_data(scene)).digest()
+def _inputs(given: Source, scene: Scene, job: Job[Any, Any]) -> RunScene:
+    """Return the inputs of a run of what is given, with its scene as a job has prepared it."""
+    return run_scene(given.stem, scene, job=job.name, with_data=job.reads_data(scene), files=given.files)
+
+
+def _digest(given: Source, job: Job[Any, Any], points: Sequence[Point]) -> str:
+    """Return the hash of what is given, the job and the points."""
+    digest = _inputs(given, given.scene, job).digest()
     return hashlib.sha256(f"{digest}\0{[*points]}".encode()).hexdigest()[:12]
 
 
@@ -228,7 +237,7 @@ def found_in(job: Job[Any, Any], run: Path) -> dict[str, Quantity]:
         return {name: Quantity(value, "") for name, value in scores.items()} | measured_in(run)
     if isinstance(result, SimulateResult) and result.loss is not None:
         scores = {"loss": result.loss, **(result.terms or {})}
-    built = job.prepare(scene_in(run, with_data=job.reads_data(load_scene(run / "scene.yaml"))), 1, Silent()).built
+    built = job.prepare(scene_in(run), 1, Silent()).built
     return {name: Quantity(value, "") for name, value in scores.items()} | quantities_of(job.name, run, built)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from small_beam import Listener, assert_same
+from small_finger import written
 from tiny_beam import BEAM, NU, E
 from typer.testing import CliRunner
 
@@ -17,6 +18,9 @@ import cqrun
 from cqrun.cli.app import app
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.figures.sweep import draw_sweep
+from cqrun.jobs.control import run_control
+from cqrun.jobs.rest import REST
+from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.studies.sweep import SweepOptions, run_sweep, sweep_lines
 from cqrun.store.study import Found, Sweep, SweptRun, read_sweep, write_study
 
@@ -86,6 +90,35 @@ def test_from_python_runs_lie_beside_the_scene_as_those_of_the_command(tmp_path,
     monkeypatch.chdir(tmp_path)
     found = cqrun.sweep("here/beam.yaml", [f"{E}=4e4"])
     assert Path(found.runs[0].run).resolve().parent == tmp_path / "here" / "results" / "beam"
+
+
+def test_the_scene_of_a_run_is_swept_beside_it(swept):
+    """With its substeps chosen anew, its points are those of the scene's file: finished runs are found again."""
+    folder, path, _ = swept
+    run, *_ = (Path(run.run) for run in read_sweep(path).runs)
+    found = cqrun.sweep(run, [f"{E}=4e4,8e4"], [f"{NU}=0.4", "time.substeps=auto"])
+    assert [Path(each.run) for each in found.runs] == [
+        run.parent / Path(each.run).name for each in read_sweep(path).runs[1::2]
+    ]
+    assert [each.found for each in found.runs] == [each.found for each in read_sweep(path).runs[1::2]]
+    rest = REST.run(folder / "beam.yaml", [], folder / "out", threads=1)
+    found = cqrun.sweep(rest, [f"{E}=4e4"])
+    assert (found.job, found.runs[0].status) == ("rest", "done")
+    with pytest.raises(UsageError, match="is a run of rest; `cqrun sysid` takes a scene, or a run of sysid, whose"):
+        cqrun.sweep(rest, [f"{E}=4e4"], job="sysid")
+
+
+def test_runs_of_a_sweep_replay_what_a_run_has_learned(tmp_path, in_process):
+    """Points are the replays of `cqrun simulate RUN`, whose goals are fixed."""
+    trained = run_control(written(tmp_path), ["optimizer.adam.max_iterations=1"], tmp_path / "out", threads=1)
+    found = cqrun.sweep(trained, ["time.duration=0.05,0.1"], job="simulate")
+    assert [run.status for run in found.runs] == ["done", "done"]
+    replay = run_simulate(trained, ["time.duration=0.05"], tmp_path / "out", threads=1)
+    assert Path(found.runs[0].run) == replay
+    assert (replay / "controller.npz").read_bytes() == (trained / "controller.npz").read_bytes()
+    untrained = cqrun.sweep(tmp_path / "finger.yaml", ["time.duration=0.05"], job="simulate", out=tmp_path / "out")
+    assert [run.status for run in untrained.runs] == ["done"]
+    assert untrained.runs[0].found["loss"] != found.runs[0].found["loss"]
 
 
 def test_a_wrong_value_is_refused_before_any_run(swept, tmp_path):
