@@ -13,14 +13,14 @@ and extrapolation.py has the arithmetic.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from cqrun.build.model import Built
 from cqrun.build.thickness import thinnest_parts
-from cqrun.errors import SceneError, Stopped, UsageError
+from cqrun.errors import Problem, SceneError, Stopped, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.job import Job
 from cqrun.jobs.studies.extrapolation import HIGHEST, LOWEST, SAFETY, extrapolate
@@ -57,12 +57,38 @@ TWIN = (
 
 @dataclass(frozen=True)
 class _Grid:
-    """A grid of the study: its cells [m], what is changed in the scene for it, and the scene built on it."""
+    """A grid of the study: its cells [m], what is changed in the scene for it, the scene built on it, its warnings."""
 
     dx: float
     overrides: list[str]
     built: Built
     thinnest: dict[str, Thinnest]
+    warnings: tuple[str, ...]
+
+
+class _Collecting(Silent):
+    """A reporter that keeps warnings, each once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.warnings: dict[str, None] = {}
+
+    def warn(self, text: str) -> None:
+        self.warnings[text] = None
+
+
+class _Untold:
+    """Passes all reports on, except warnings that were given before."""
+
+    def __init__(self, talk: Reporter, told: Container[str]) -> None:
+        self._talk, self._told = talk, told
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._talk, name)
+
+    def warn(self, text: str) -> None:
+        if text not in self._told:
+            self._talk.warn(text)
 
 
 def run_resolution(
@@ -82,8 +108,10 @@ def run_resolution(
     if source.is_dir():
         raise UsageError(f"{source}: --resolution runs a scene on several grids: give the scene file, not a run")
     scene = load_scene(source, overrides)
-    plan = [_grid(source, overrides, scene, dx, job) for dx in grids_of(grids, scene)]
+    plan = _plan(source, overrides, scene, grids_of(grids, scene), job)
     notes = list(_notes(scene, plan, job, talk))
+    _warn(plan, talk)
+    untold: Any = _Untold(talk, {warning for grid in plan for warning in grid.warnings})
     folder = make_below(out, stem_of(source))
     runs: list[GridRun] = []
     found: list[dict[str, Quantity] | None] = []
@@ -92,7 +120,7 @@ def run_resolution(
         try:
             run = job.start(
                 stem_of(source), load_scene(source, [*overrides, *grid.overrides]), out, fresh=fresh, threads=threads,
-                reporter=talk,
+                reporter=untold,
             )  # fmt: skip
         except Stopped as stopped:
             done = f"{k} of {len(plan)} grids are finished; the same command continues"
@@ -147,21 +175,47 @@ def resolution(
     return read_resolution(path)
 
 
+def _plan(
+    source: Path, overrides: Sequence[str], scene: Scene, cells: Sequence[float], job: Job[Any, Any]
+) -> list[_Grid]:
+    """Return all grids; whatever does not suit one of them is reported before the first run.
+
+    Raises:
+        SceneError: with the problems of all grids. UsageError: as `_grid`.
+    """
+    plan, problems = list[_Grid](), list[Problem]()
+    for dx in cells:
+        try:
+            plan.append(_grid(source, overrides, scene, dx, job))
+        except SceneError as error:
+            problems += error.problems
+    if problems:
+        raise SceneError(problems)
+    return plan
+
+
+def _warn(plan: Sequence[_Grid], talk: Reporter) -> None:
+    """Give the warnings of all grids, with the cells that each is about unless these are all."""
+    for warning in dict.fromkeys(warning for grid in plan for warning in grid.warnings):
+        cells = [number(grid.dx) for grid in plan if warning in grid.warnings]
+        talk.warn(warning if len(cells) == len(plan) else f"{warning} (with cells of {listed(cells)} m)")
+
+
 def _grid(source: Path, overrides: Sequence[str], scene: Scene, dx: float, job: Job[Any, Any]) -> _Grid:
     """Return a grid with the scene built on it.
 
     Raises:
         SceneError, UsageError: the scene cannot be run on this grid.
     """
-    own = grid_overrides(scene, dx)
+    own, heard = grid_overrides(scene, dx), _Collecting()
     try:
-        built = job.prepare(load_scene(source, [*overrides, *own]), 1, Silent()).built
+        built = job.prepare(load_scene(source, [*overrides, *own]), 1, heard).built
     except SceneError as error:
         begin = f"with cells of {number(dx)} m: "
         raise SceneError([replace(p, message=begin + p.message) for p in error.problems]) from None
     thinnest = thinnest_parts(built)
     require_cells(dx, thinnest)
-    return _Grid(dx, own, built, thinnest)
+    return _Grid(dx, own, built, thinnest, tuple(heard.warnings))
 
 
 def _notes(scene: Scene, plan: Sequence[_Grid], job: Job[Any, Any], talk: Reporter) -> Iterator[str]:

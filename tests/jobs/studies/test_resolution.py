@@ -102,6 +102,28 @@ def test_three_grids_show_the_order(beam, tmp_path):
     assert sag.error > abs(sag.value - sag.values[2])
 
 
+def test_what_does_not_suit_a_grid_is_said_before_the_first_run(beam, tmp_path):
+    """A pin of 6 mm holds a particle on one grid alone."""
+    pin = "boundaries.pin={sticky: {region: {box: {corner: [0.136, 0.097], size: [0.006, 0.006]}}}}"
+    listener, updated = Listener(), ["world.frame=updated", "time.duration=0.01", pin]
+    study(beam, tmp_path / "out", SIMULATE, "0.01,0.007", updated, listener)
+    first = listener.said.index("grid 1 of 2: cells of 0.01 m")
+    holds_none = [k for k, line in enumerate(listener.said) if "holds 1 nodes but no particle" in line]
+    assert len(holds_none) == 1  # not again when this grid begins
+    assert holds_none[0] < first
+    assert listener.said[holds_none[0]].endswith("let the region reach into it (with cells of 0.007 m)")
+
+
+def test_problems_of_all_grids_are_reported_before_any_run(beam, tmp_path):
+    """A group between particles is empty on two of three grids."""
+    group = "bodies.beam.groups.spot={box: {corner: [0.0615, 0.105], size: [0.0007, 0.002]}}"
+    with pytest.raises(SceneError) as refused:
+        study(beam, tmp_path / "out", grids="0.01,0.008,0.005", overrides=[group])
+    told = [str(problem) for problem in refused.value.problems]
+    assert [line.partition(": with cells of ")[2].partition(" m:")[0] for line in told] == ["0.01", "0.005"]
+    assert not (tmp_path / "out").exists()
+
+
 class StopsOnGrid(Listener):
     """A reporter that asks to stop when a grid begins."""
 
