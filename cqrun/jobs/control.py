@@ -118,6 +118,7 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
     def lines(self, run: Path, result: LearnedResult) -> Iterator[str]:
         """Yield tables of the terms before and after, the constraints, and the unknowns of the design."""
         yield f"{result.status} after {result.iterations} iterations: {result.message}"
+        yield from _which_iterate(run, result)
         stages = result.stages()
         if not stages:
             return
@@ -183,6 +184,18 @@ def _flat(run: RunDirectory) -> bool:
     norms = [column for name, column in history.items() if name.startswith("grad:")]
     largest = max((np.nanmax(np.abs(column), initial=0.0) for column in norms), default=np.inf)
     return bool(largest <= ZERO * max(1.0, np.nanmax(np.abs(history["loss"]), initial=0.0)))
+
+
+def _which_iterate(run: Path, result: LearnedResult) -> Iterator[str]:
+    """Yield a sentence if the values of a result are not those of the last iterate."""
+    file = run / "history.csv"
+    history = read_history(file) if file.is_file() else {"iteration": [], "loss": []}
+    same = [k for k, loss in zip(history["iteration"], history["loss"], strict=True) if loss == result.loss]
+    last = history["iteration"][-1] if same else 0
+    if same and same[-1] == 0 < last:
+        yield f"the result is the start: none of {last:.0f} iterates is better"
+    elif same and same[-1] < last:
+        yield f"the result is iterate {same[-1]:.0f}, the best of {last:.0f}"
 
 
 def _ends(unknown: Designed) -> str:

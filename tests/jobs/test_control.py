@@ -128,6 +128,26 @@ def assert_same_learning(run, other):
     }
 
 
+@pytest.mark.parametrize(
+    ("rate", "weight", "told"),
+    [
+        (0.1, 0.001, None),
+        (0.5, 0.05, "the result is iterate 3, the best of 5"),
+        (0.5, 0.1, "the result is the start: none of 5 iterates is better"),
+    ],
+)
+def test_a_result_that_is_not_the_last_iterate_is_told(finger, tmp_path, rate, weight, told):
+    changed(
+        finger, "adam: {learning_rate: 0.1, max_iterations: 4}", f"adam: {{learning_rate: {rate}, max_iterations: 5}}"
+    )
+    run = learn(finger, tmp_path, f"objective.effort.effort.weight={weight}")
+    losses = read_history(run / "history.csv")["loss"]
+    best = int(np.argmin(losses))
+    assert best == {None: 5, "the result is iterate 3, the best of 5": 3}.get(told, 0)
+    assert result_of(run)["loss"] == losses[best]
+    assert report_lines(run)[1] == (told or "")
+
+
 def test_threads_do_not_change_a_bit(finger, tmp_path):
     assert_same(learn(finger, tmp_path / "1", threads=1), learn(finger, tmp_path / "2", threads=2))
 
