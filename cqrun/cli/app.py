@@ -12,7 +12,6 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from cqrun.characters import harmless
 from cqrun.cli.bench import bench
 from cqrun.cli.codesign import codesign
 from cqrun.cli.compress import compress
@@ -32,7 +31,7 @@ from cqrun.cli.schema import schema
 from cqrun.cli.simulate import simulate
 from cqrun.cli.sweep import sweep
 from cqrun.cli.sysid import sysid
-from cqrun.cli.terminal import echo
+from cqrun.cli.terminal import echo, print_error
 from cqrun.cli.validate import validate
 from cqrun.cli.warmup import warmup
 from cqrun.errors import CqrunError, SceneError, StopNow
@@ -95,9 +94,10 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         except CqrunError as error:
             # a scene's problems start with file:line:column, which editors follow
             prefix = "" if isinstance(error, SceneError) else "error: "
-            print(harmless(f"{prefix}{error}"), file=sys.stderr)
+            print_error(f"{prefix}{error}")
             sys.exit(error.exit_code)
         except StopNow:
-            print("error: stopped before it was finished; give the command again", file=sys.stderr)
+            reason = stop.named("stopped before it was finished; give the command again")
+            print_error(f"error: {reason}")
             sys.exit(stop.exit_code)
     raise AssertionError("typer ends the process itself")

@@ -12,13 +12,14 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any, TextIO
 
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
 from cqrun.characters import harmless, printable
+from cqrun.cli.terminal import Closable
 from cqrun.errors import StopNow
 from cqrun.running.reporter import StopFlag
 
@@ -57,7 +58,8 @@ class Progress:
     ) -> None:
         self.stop = StopFlag(announce=self.warn)
         # no emoji: `:100:` in the place `scene.yaml:100:53` is the name of one
-        self._console = Console(file=stream or sys.stderr, highlight=False, soft_wrap=True, emoji=False)
+        file: Any = Closable(stream or sys.stderr)
+        self._console = Console(file=file, highlight=False, soft_wrap=True, emoji=False)
         self._quiet = quiet
         self._plain_every, self._silent_at_most = plain_every, silent_at_most
         self._unsaid = bool(doing)

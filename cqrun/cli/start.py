@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
 from typing import Any, NoReturn
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__))))
@@ -37,7 +38,10 @@ def main() -> NoReturn:
     leave_the_current_folder()
     import signal
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    numbers = [signal.SIGHUP, signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # under nohup
+        del numbers[0]
+    for number in numbers:
         signal.signal(number, _stop_at_once)
     warning = set_environment()
     if warning:
@@ -54,13 +58,15 @@ def main() -> NoReturn:
     try:
         app.main()
     finally:  # the results are there and printed: what is left is the end of the process
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in numbers:
             signal.signal(number, signal.SIG_IGN)
 
 
 def _stop_at_once(number: int, frame: Any) -> NoReturn:
     """End the process, which has not begun to do anything."""
-    os.write(2, b"error: stopped before it began; give the command again\n")
+    name = {1: "SIGHUP", 2: "SIGINT (Ctrl-C)"}.get(number, "SIGTERM")
+    with suppress(OSError):  # the terminal is gone
+        os.write(2, f"error: {name}: stopped before it began; give the command again\n".encode())
     os._exit(130 if number == 2 else 75)
 
 

@@ -104,7 +104,7 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
         )  # fmt: skip
         outcome = optimizer.minimise(problem, session)
         if outcome.status == "stopped":
-            run.finish("stopped", outcome.message)
+            run.finish("stopped", talk.stop.named(outcome.message))
             raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
         if optimizer.gradients and outcome.status != "failed" and _flat(run):
             talk.warn(FLAT)

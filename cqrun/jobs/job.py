@@ -223,7 +223,7 @@ class Job(ABC, Generic[P, R]):
                 self.work(run, prepared, talk)
             except StopAsked:
                 reason = "stopped before its results were written"
-                run.finish(STOPPED, reason)
+                run.finish(STOPPED, talk.stop.named(reason))
                 raise talk.stop.stopped(f"{reason}; `cqrun resume {run.path}` {self.again}") from None
 
     @property

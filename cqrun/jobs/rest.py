@@ -119,7 +119,7 @@ class RestJob(Job[Resting, RestResult]):
             except StopAsked:
                 writer.abandon()
                 message = f"stopped after {len(found)} of {len(points)} points"
-                run.finish("stopped", message)
+                run.finish("stopped", talk.stop.named(message))
                 raise talk.stop.stopped(f"{message}; `cqrun resume {run.path}` goes on") from None
             measured = measuring.end(records.held, at_rest=True)
             if not found[-1].converged:

@@ -137,7 +137,7 @@ class Simulate(Job[Simulation, SimulateResult]):
                 return
             if not complete:
                 message = f"stopped at t = {reached:.6g} s"
-                run.finish("stopped", message)
+                run.finish("stopped", talk.stop.named(message))
                 raise talk.stop.stopped(
                     f"{message}; the trajectory so far is in {path}.part; `cqrun resume {run.path}` runs it again"
                 )

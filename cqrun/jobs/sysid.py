@@ -253,7 +253,7 @@ def _conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome
     """Write the results, and end the run with the status of the outcome."""
     if outcome.status == "stopped":
         write_findings(run, cases, problem, outcome)
-        run.finish("stopped", outcome.message)
+        run.finish("stopped", talk.stop.named(outcome.message))
         raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
     if outcome.status != "failed":
         talk.phase(f"intervals, predictions, trajectory, {how_long([case.runner for case in cases])}")

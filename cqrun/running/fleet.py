@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from cqrun.running.reporter import EXIT_INTERRUPTED, Reporter
+from cqrun.running.reporter import Reporter
 from cqrun.store.lock import is_locked
 
 POLL_INTERVAL = 0.2
@@ -112,9 +112,7 @@ def _run_all(members: Sequence[Member], at_once: int, what: str, reporter: Repor
                     member.failure = "not started"
                 waiting.clear()
                 for member in running:
-                    member.request_stop(
-                        signal.SIGINT if reporter.stop.exit_code == EXIT_INTERRUPTED else signal.SIGTERM
-                    )
+                    member.request_stop(reporter.stop.signum)
             for member in [m for m in waiting if not is_locked(m.run)][: at_once - len(running)]:
                 waiting.remove(member)
                 running.append(member)

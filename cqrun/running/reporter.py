@@ -20,11 +20,16 @@ EXIT_INTERRUPTED = 130
 ABORTED = "aborted; the same command continues from what was kept"
 
 
-class StopFlag:
-    """A request to stop, by SIGINT, SIGTERM or `ask`.
+SIGNALS = {signal.SIGINT: "SIGINT (Ctrl-C)", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "SIGHUP (the terminal is gone)"}
+"""Signals that ask to stop, and what messages call them."""
 
-    As a context manager it handles both signals: each raises StopNow at once. Inside `deferred()` the first one only
-    sets the flag, which the work asks for between two rollouts, and the second raises StopNow.
+
+class StopFlag:
+    """A request to stop, by a signal or `ask`.
+
+    As a context manager it handles SIGNALS: each raises StopNow at once. Inside `deferred()` the first one only sets
+    the flag, which the work asks for between two rollouts, and the second raises StopNow. SIGHUP is left alone where it
+    is ignored, as under `nohup`.
 
         with reporter.stop.deferred():
             for rollout in rollouts:
@@ -36,6 +41,7 @@ class StopFlag:
 
     def __init__(self, announce: Callable[[str], None] | None = None) -> None:
         self._announce = announce
+        self._asked = False
         self._signal: int | None = None
         self._deferred = False
         self._previous: dict[int, Any] = {}
@@ -43,25 +49,34 @@ class StopFlag:
     @property
     def asked(self) -> bool:
         """Whether the job should stop."""
-        return self._signal is not None
+        return self._asked
+
+    @property
+    def signum(self) -> signal.Signals:
+        """The signal that asked; SIGTERM if none did."""
+        return signal.SIGTERM if self._signal is None else signal.Signals(self._signal)
 
     @property
     def exit_code(self) -> int:
         """130 after Ctrl-C, otherwise the exit code of `Stopped`: stopped, and can be resumed."""
         return EXIT_INTERRUPTED if self._signal == signal.SIGINT else Stopped.exit_code
 
-    def ask(self, signum: int = signal.SIGTERM) -> None:
-        """Ask the job to stop, as the signal `signum` does."""
-        self._signal = signum
+    def ask(self, signum: int | None = None) -> None:
+        """Ask the job to stop, as the signal `signum` does if one is given."""
+        self._asked, self._signal = True, signum
 
     def check(self) -> None:
         """Raise StopAsked if the job should stop."""
         if self.asked:
             raise StopAsked
 
+    def named(self, reason: str) -> str:
+        """Return the reason why a job ended, with the signal that asked for it, if one did."""
+        return reason if self._signal is None else f"{SIGNALS[self.signum]}: {reason}"
+
     def stopped(self, message: str) -> Stopped:
-        """Return the error that a job raises after its checkpoint; its exit code fits the signal."""
-        error = Stopped(message)
+        """Return the error that a job raises after its checkpoint; it names the signal, and its exit code fits."""
+        error = Stopped(self.named(message))
         error.exit_code = self.exit_code
         return error
 
@@ -77,8 +92,9 @@ class StopFlag:
             self._deferred = before
 
     def __enter__(self) -> StopFlag:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._previous[number] = signal.signal(number, self._receive)
+        for number in SIGNALS:
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                self._previous[number] = signal.signal(number, self._receive)
         return self
 
     def __exit__(

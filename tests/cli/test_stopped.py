@@ -82,7 +82,8 @@ def test_a_fit_is_stopped_after_the_rollout_at_hand_and_continued(folder, undist
     assert str(ended.value).endswith(f"; `cqrun resume {run}` continues")
     rows = (run / "history.csv").read_text().count("\n") - 1
     when = "before the first iteration" if rows == 0 else f"after iteration {rows - 1}"
-    assert str(ended.value).startswith((f"asked to stop {when}", "stopped before its results were written"))
+    told = (f"SIGTERM: asked to stop {when}", "SIGTERM: stopped before its results were written")
+    assert str(ended.value).startswith(told)
     assert read_record(run)["status"] == "stopped"
     run_resume(run, [], threads=1)
     assert_same(run, whole)
@@ -124,7 +125,9 @@ def test_a_signal_while_pictures_are_drawn_keeps_the_results(cqrun, folder, tmp_
     (run,) = tmp_path.glob("fit/*")
     assert code == 75
     assert out.endswith(f"run: {run}\n")
-    told = f"error: stopped while pictures were drawn; the run is finished, and `cqrun plot {run}` draws them\n"
+    told = (
+        f"error: SIGTERM: stopped while pictures were drawn; the run is finished, and `cqrun plot {run}` draws them\n"
+    )
     assert err.endswith(told)
     assert read_record(run)["status"] == "done"
     monkeypatch.undo()
@@ -137,7 +140,7 @@ def test_a_signal_before_the_work_ends_the_command_at_once(cqrun, folder, tmp_pa
     words = ("simulate", folder / "fit.yaml", "-o", "time.duration=0.02", "--out", tmp_path)
     code, out, err = cqrun(*words)
     assert (code, out) == (75, "")
-    assert err.endswith("error: stopped before it was finished; give the command again\n")
+    assert err.endswith("error: SIGTERM: stopped before it was finished; give the command again\n")
     for run in tmp_path.glob("fit/*"):
         assert read_record(run)["status"] == "new"
     monkeypatch.undo()
@@ -149,4 +152,4 @@ def test_a_signal_ends_commands_without_runs(cqrun, folder, monkeypatch, words):
     monkeypatch.setattr("typer.echo", _kill)
     code, _, err = cqrun(*words, *([folder / "fit.yaml"] if words == ["validate"] else []))
     assert code == 75
-    assert err.endswith("error: stopped before it was finished; give the command again\n")
+    assert err.endswith("error: SIGTERM: stopped before it was finished; give the command again\n")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hangup import NOT_UNDER_NOHUP
 from small_beam import BEAM, FIT, assert_same, changed, record, recorded
 from small_finger import DESIGN, FINGER, written
 
@@ -184,8 +185,15 @@ def undisturbed(tmp_path_factory):
     return words, next(folder.glob("*/*/run.json")).parent
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
-def test_a_signal_finishes_the_iteration_and_leaves_a_run_that_goes_on(undisturbed, tmp_path, number, code):
+@pytest.mark.parametrize(
+    ("number", "code", "name"),
+    [
+        (signal.SIGINT, 130, "SIGINT (Ctrl-C)"),
+        (signal.SIGTERM, 75, "SIGTERM"),
+        pytest.param(signal.SIGHUP, 75, "SIGHUP (the terminal is gone)", marks=NOT_UNDER_NOHUP),
+    ],
+)
+def test_a_signal_finishes_the_iteration_and_leaves_a_run_that_goes_on(undisturbed, tmp_path, number, code, name):
     words, whole = undisturbed
     process = start(*words, "--out", tmp_path / "stopped")
     deadline = time.monotonic() + PATIENCE
@@ -197,11 +205,42 @@ def test_a_signal_finishes_the_iteration_and_leaves_a_run_that_goes_on(undisturb
     assert (process.returncode, out) == (code, ""), err
     assert "warning: stopping after the rollout at hand (once more: abort now)" in err
     (run,) = (tmp_path / "stopped").glob("*/*")
-    assert err.splitlines()[-1].startswith("error: asked to stop after iteration ")
+    assert err.splitlines()[-1].startswith(f"error: {name}: asked to stop after iteration ")
     assert err.splitlines()[-1].endswith(f"; `cqrun resume {run}` continues")
-    assert read_record(run)["status"] == "stopped"
+    record = read_record(run)
+    assert record["status"] == "stopped"
+    assert record["reason"].startswith(f"{name}: asked to stop after iteration ")
     finish(start("resume", run))
     assert_same(run, whole)
+
+
+IN_A_TERMINAL = """
+import os, pathlib, pty, select, sys, time
+pid, terminal = pty.fork()
+if pid == 0:
+    os.execv(sys.executable, [sys.executable, "-m", "cqrun", *sys.argv[2:]])
+began = time.monotonic()
+while not list(pathlib.Path(sys.argv[1]).glob("*/*/trajectory.h5.part")) and time.monotonic() - began < 100:
+    if select.select([terminal], [], [], 0.05)[0]:
+        os.read(terminal, 4096)
+os.close(terminal)
+print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
+"""
+
+
+@NOT_UNDER_NOHUP
+def test_a_terminal_that_is_closed_stops_a_run_that_goes_on(beam, tmp_path):
+    """Nothing can be printed any more, and this is no error."""
+    changed(beam, "substeps: 24", "substeps: 40000")
+    out = tmp_path / "out"
+    words = [sys.executable, "-c", IN_A_TERMINAL, out, "simulate", beam, "--threads", "1", "--out", out]
+    code = subprocess.run(words, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE,
+                          text=True, timeout=PATIENCE, check=True).stdout  # fmt: skip
+    assert code == "75\n"
+    (run,) = out.glob("*/*")
+    record = read_record(run)
+    assert record["status"] == "stopped"
+    assert record["reason"].startswith("SIGHUP (the terminal is gone): stopped at t = ")
 
 
 def test_a_killed_simulation_keeps_its_frames_and_runs_again(beam, tmp_path, rng):

@@ -6,13 +6,21 @@ import os
 import signal
 
 import pytest
+from hangup import NOT_UNDER_NOHUP
 
 from cqrun.errors import StopAsked, StopNow, Stopped
-from cqrun.running.reporter import Silent, StopFlag
+from cqrun.running.reporter import SIGNALS, Silent, StopFlag
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
-def test_a_deferred_signal_sets_the_flag_once_and_its_exit_code(number, code):
+@pytest.mark.parametrize(
+    ("number", "code", "name"),
+    [
+        (signal.SIGINT, 130, "SIGINT (Ctrl-C)"),
+        (signal.SIGTERM, 75, "SIGTERM"),
+        pytest.param(signal.SIGHUP, 75, "SIGHUP (the terminal is gone)", marks=NOT_UNDER_NOHUP),
+    ],
+)
+def test_a_deferred_signal_sets_the_flag_once_and_its_exit_code(number, code, name):
     messages = []
     with StopFlag(messages.append) as flag, flag.deferred():
         assert not flag.asked
@@ -23,7 +31,7 @@ def test_a_deferred_signal_sets_the_flag_once_and_its_exit_code(number, code):
         with pytest.raises(StopAsked):
             flag.check()
         error = flag.stopped("after iteration 3")
-    assert (str(error), error.exit_code) == ("after iteration 3", code)
+    assert (str(error), error.exit_code, flag.signum) == (f"{name}: after iteration 3", code, number)
     assert Stopped.exit_code == 75, "the exit code of the class is unchanged"
 
 
@@ -46,6 +54,23 @@ def test_the_second_signal_aborts():
             os.kill(os.getpid(), signal.SIGTERM)
 
 
+def test_a_request_without_a_signal_names_none():
+    flag = StopFlag()
+    flag.ask()
+    assert (str(flag.stopped("after iteration 3")), flag.exit_code) == ("after iteration 3", 75)
+
+
+def test_a_signal_that_is_ignored_stays_ignored_under_nohup():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with StopFlag() as flag:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert not flag.asked
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_work_that_takes_long_does_not_begin_after_a_request_to_stop():
     flag = StopFlag()
     flag.ask()
@@ -63,10 +88,10 @@ def test_a_stream_that_is_written_to_when_the_signal_comes_loses_the_announcemen
 
 
 def test_handlers_are_restored_after_an_error():
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    before = [signal.getsignal(number) for number in SIGNALS]
     with pytest.raises(ZeroDivisionError), StopFlag():
         raise ZeroDivisionError
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    assert [signal.getsignal(number) for number in SIGNALS] == before
 
 
 def test_the_silent_reporter_can_be_asked_to_stop(capsys):

@@ -283,7 +283,7 @@ def test_stopped_it_says_of_how_many_seeds_it_can_compare_all(tmp_path, monkeypa
 
     monkeypatch.setattr(members, "run_fleet", stopped)
     for ended, now in ((1, ""), (5, "; with --seeds 2 it compares the finished runs")):
-        told = rf"^{ended} of 6 runs are finished; the same command continues{now}$"
+        told = rf"^SIGINT \(Ctrl-C\): {ended} of 6 runs are finished; the same command continues{now}$"
         with pytest.raises(Stopped, match=told):
             run_ablation(design(tmp_path, E), [], tmp_path / "out", threads=2, seeds=3)
 
