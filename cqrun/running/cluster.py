@@ -24,7 +24,7 @@ from typing import Any
 
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.fingerprint import engine_hash
-from cqrun.running.fleet import Member, report_progress
+from cqrun.running.fleet import GOES_ON, Member, reason_in, report_progress
 from cqrun.running.reporter import Reporter
 from cqrun.store.atomic import write_json, write_text
 from cqrun.store.folder import RECORD, make_below
@@ -114,7 +114,7 @@ def carry_out(order: Order) -> Outcome:
             (here / path).write_bytes(content)
         found = _process(order, str(here / order.parcel.scene), str(out))
         run = out / Path(order.run).relative_to(order.out)
-        return Outcome(found.code, found.message, _packed(run) if run.is_dir() else b"")
+        return Outcome(found.code, found.message.replace(str(run), order.run), _packed(run) if run.is_dir() else b"")
 
 
 def _process(order: Order, source: str, out: str) -> Outcome:
@@ -133,7 +133,7 @@ def _process(order: Order, source: str, out: str) -> Outcome:
                 time.sleep(POLL_INTERVAL)
         errors.seek(0)
         lines = errors.read().decode(errors="replace").strip().splitlines()
-    return Outcome(process.returncode, lines[-1].removeprefix("error: ") if lines else "")
+    return Outcome(process.returncode, lines[-1] if lines else "")
 
 
 def _packed(run: Path) -> bytes:
@@ -216,7 +216,7 @@ def _wait(tasks: Sequence[_Task], client: Any, stop: str, what: str, reporter: R
             waiting.remove(task)
             _take(task, source)
             if task.member.failure is not None and not stopping:
-                reporter.warn(f"{task.member.name}: {task.member.failure}")
+                reporter.warn(f"{task.member.name} ({task.member.run}): {task.member.failure}")
         if not stopping:
             begun = [task.member for task in waiting if (task.member.run / RECORD).exists()]
             rest = [task.member for task in waiting if task.member not in begun]
@@ -232,16 +232,17 @@ def _take(task: _Task, source: Path) -> None:
         name = type(error).__name__
         dead = name == "KilledWorker"
         task.member.failure = (
-            "its workers died, one after another" if dead else f"{name}: {error}" if error else "cancelled"
+            f"its workers died, one after another; {GOES_ON}" if dead else f"{name}: {error}" if error else "cancelled"
         )
         return
     outcome: Outcome = task.future.result()
     if outcome.archive:
         _unpack(outcome.archive, task.member.run, source)
     if outcome.code < 0:
-        task.member.failure = f"was killed ({signal.Signals(-outcome.code).name}); the same command goes on with it"
+        task.member.failure = f"was killed ({signal.Signals(-outcome.code).name}); {GOES_ON}"
     elif outcome.code > 0:
-        task.member.failure = outcome.message or f"ended with exit code {outcome.code}"
+        reason = reason_in(outcome.message, task.member.run.resolve())
+        task.member.failure = reason or f"ended with exit code {outcome.code}"
 
 
 def _unpack(content: bytes, run: Path, source: Path) -> None:

@@ -18,6 +18,14 @@ POLL_INTERVAL = 0.2
 """Time between two checks of the processes [s]."""
 
 
+GOES_ON = "the same command goes on with it"
+
+
+def reason_in(message: str, run: Path) -> str:
+    """Return a command's last message as the reason why its run ended, without the run."""
+    return message.removeprefix("error: ").removeprefix(f"{run}: ")
+
+
 @dataclass
 class Member:
     """One run of a fleet.
@@ -27,7 +35,7 @@ class Member:
         run: directory of the run.
         command: command line that starts or continues it.
         iterations: number of iterations at most.
-        failure: why it failed, or None.
+        failure: why it failed, without the run's name; or None.
         process: its process while that runs.
         stderr: what the process writes to standard error.
     """
@@ -78,11 +86,11 @@ class Member:
         assert self.stderr is not None
         code = self.process.returncode
         if code < 0:  # its last message is not the reason
-            self.failure = f"was killed ({signal.Signals(-code).name}); the same command goes on with it"
+            self.failure = f"was killed ({signal.Signals(-code).name}); {GOES_ON}"
         elif code > 0:
             self.stderr.seek(0)
             lines = self.stderr.read().decode(errors="replace").strip().splitlines()
-            self.failure = lines[-1].removeprefix("error: ") if lines else f"ended with exit code {code}"
+            self.failure = reason_in(lines[-1], self.run) if lines else f"ended with exit code {code}"
         self.stderr.close()
         self.process = self.stderr = None
         return True
@@ -121,13 +129,13 @@ def _run_all(members: Sequence[Member], at_once: int, what: str, reporter: Repor
                 for member in waiting:
                     if member.name not in announced:
                         reporter.warn(
-                            f"{member.name}: another process works on it ({member.run}); waiting until it ends"
+                            f"{member.name} ({member.run}): another process works on it; waiting until it ends"
                         )
                 announced |= {member.name for member in waiting}
             for member in [m for m in running if m.has_ended()]:
                 running.remove(member)
                 if member.failure is not None and not stopping:
-                    reporter.warn(f"{member.name}: {member.failure}")
+                    reporter.warn(f"{member.name} ({member.run}): {member.failure}")
             if not stopping:
                 report_progress(members, running, waiting, what, reporter)
             if running or waiting:

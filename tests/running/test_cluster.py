@@ -8,6 +8,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from small_beam import Listener, assert_same, changed
@@ -20,6 +21,7 @@ from cqrun.jobs.studies.ablation import run_ablation
 from cqrun.jobs.studies.seeds import run_seeds
 from cqrun.jobs.studies.sweep import SweepOptions, run_sweep
 from cqrun.running import cluster
+from cqrun.running.fleet import Member
 from cqrun.store.study import read_ablation, read_seeds, read_sweep
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
@@ -129,6 +131,21 @@ def test_seeds_and_variants_run_there_too(workers, tmp_path):
 def test_a_scene_with_files_elsewhere_needs_a_shared_file_system():
     order = cluster.Order((), (), "", "", "", "/nowhere", "", "", cluster.engine_hash())
     assert "use a shared file system" in cluster.carry_out(order).message
+
+
+def test_the_failure_of_a_run_elsewhere_names_the_run_here(tmp_path, monkeypatch):
+    """The folder on the worker is gone by then."""
+    member, scene = Member("seed 0", tmp_path / "beam" / "0123", [], 1), tmp_path / "beam.yaml"
+
+    def failing(order, source, out):
+        run = Path(out) / "beam" / "0123"
+        return cluster.Outcome(75, f"error: {run}: it stopped; `cqrun resume {run}` continues")
+
+    monkeypatch.setattr(cluster, "_process", failing)
+    where = (str(scene), str(tmp_path), str(member.run), "/nowhere", "", "", cluster.engine_hash())
+    outcome = cluster.carry_out(cluster.Order((), (), *where, cluster.Parcel("beam.yaml", {})))
+    cluster._take(cluster._Task(member, SimpleNamespace(status="finished", result=lambda: outcome)), scene)
+    assert member.failure == f"it stopped; `cqrun resume {member.run}` continues"
 
 
 def test_a_worker_with_another_engine_makes_no_run():

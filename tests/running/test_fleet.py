@@ -17,7 +17,7 @@ from cqrun.store.lock import DirectoryLock
 FAILS_AT_ONE = """
 import sys, time
 time.sleep(0.5)
-sys.exit('an earlier line\\nerror: seed one blew up' if sys.argv[-1] == 'seed=1' else 0)
+sys.exit(f'an earlier line\\nerror: {sys.argv[1]}/1: seed one blew up' if sys.argv[-1] == 'seed=1' else 0)
 """
 WAITS = """
 import pathlib, signal, sys, time
@@ -41,12 +41,12 @@ def three_runs(tmp_path):
     return make
 
 
-def test_a_failed_seed_is_reported_and_the_others_continue(three_runs):
+def test_a_failed_seed_is_reported_with_its_run_and_the_others_continue(three_runs, tmp_path):
     listener = Listener()
-    runs = three_runs(FAILS_AT_ONE)
+    runs = three_runs(FAILS_AT_ONE, str(tmp_path))
     run_fleet(runs, 2, "seeds", listener)
     assert [run.failure for run in runs] == [None, "seed one blew up", None]
-    assert listener.said == ["warning: seed 1: seed one blew up"]
+    assert listener.said == [f"warning: seed 1 ({runs[1].run}): seed one blew up"]
     assert listener.parts[-1] == (15, 15, "3 of 3 seeds")
     assert any(", seed 0 at 0/5, seed 1 at 0/5" in text for _, _, text in listener.parts)
 
@@ -107,7 +107,7 @@ def test_it_waits_for_a_run_that_another_process_works_on(three_runs, tmp_path):
     run_fleet(runs, 2, "seeds", listener)
     watcher.join()
     assert [run.failure for run in runs] == [None] * 3
-    assert listener.said == [f"warning: seed 1: another process works on it ({runs[1].run}); waiting until it ends"]
+    assert listener.said == [f"warning: seed 1 ({runs[1].run}): another process works on it; waiting until it ends"]
 
 
 def test_a_wait_for_another_process_can_be_stopped(three_runs):

@@ -164,7 +164,8 @@ def _run(
         raise talk.stop.stopped(f"{len(good)} of {len(members)} {what} are finished; the same command continues{now}")
     bad = [m for m in members if not has_ended(m) and not _blew_up(m)]
     if bad:
-        raise RunError(f"{len(bad)} of {len(members)} {what} failed; {bad[0].name}: {bad[0].failure}")
+        first = f"{bad[0].name} ({bad[0].run}): {bad[0].failure}"
+        raise RunError(f"{len(bad)} of {len(members)} {what} failed; {first}")
 
 
 def _blew_up(member: Member) -> bool:
@@ -214,7 +215,7 @@ def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str
             v.name: VariantRuns(
                 free=list(v.groups),
                 runs=[str(run.run) for run in runs[v.name]],
-                failed={run.name: str(run.failure) for run in runs[v.name] if not has_ended(run)},
+                failed={run.name: f"{run.run}: {run.failure}" for run in runs[v.name] if not has_ended(run)},
                 feasible=met[v.name] if scene.constraints else None,
                 terms=_means(shown[v.name], scene.objective, lambda r, name: _after(r).terms[name]),
                 constraints=_means(results[v.name], scene.constraints, lambda r, name: r.constraints[name].value),

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cqrun.errors import RunError
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.job import Job
 from cqrun.running.cluster import PROCESSES, Parcel, require_place, run_on_cluster
 from cqrun.running.fleet import Member, run_fleet
 from cqrun.running.reporter import Reporter
-from cqrun.running.runs import data_files, part_files, raise_if_failed
+from cqrun.running.runs import data_files, part_files
 from cqrun.scene.schema import Scene
 from cqrun.store.folder import RECORD, REPORT
 from cqrun.store.result import RESULT
@@ -67,12 +66,10 @@ def _is_complete(run: Path) -> bool:
 
 
 def _failure(run: Path) -> str | None:
-    """Return why a finished run failed, in the words of its command, or None."""
-    try:
-        raise_if_failed(run)
-    except RunError as error:
-        return str(error).strip().splitlines()[-1]
-    return None
+    """Return why a finished run failed, as its command would report it, or None."""
+    record = read_record(run)
+    failed = record["status"] in ("failed", INFEASIBLE)
+    return str(record["reason"]).strip().splitlines()[-1] if failed else None
 
 
 @dataclass(frozen=True)

@@ -219,7 +219,9 @@ def summary_lines(path: Path) -> list[str]:
         names = list(summary.all[stages[0]])
         lines += table(head, [(name, *(shown(summary.all[stage][name]) for stage in stages)) for name in names])
     lines += [f"seed {k} does not meet its constraints" for k, entry in seeds if entry.status == INFEASIBLE]
-    lines += [f"seed {k} failed: {entry.reason}" for k, entry in seeds if entry.status == "failed"]
+    lines += [
+        f"seed {k} failed: {path_of(entry.run)}: {entry.reason}" for k, entry in seeds if entry.status == "failed"
+    ]
     lines += [f"warning: seed {k}: {EXTENDED}" for k, entry in seeds if entry.extended]
     lines += [f"seed {k}, {sentence}" for k, entry in seeds for sentence in entry.blew_up or []]
     spread = summary.all.get("trained", {}).get("loss")

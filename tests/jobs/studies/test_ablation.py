@@ -185,8 +185,9 @@ def test_runs_that_blow_up_leave_the_comparison_of_the_others(tmp_path):
         -result["effects"]["density"]["mean"] / result["variants"]["control"]["terms"]["tip"]["mean"], rel=1e-9
     )
     lines = told.output.splitlines()
+    (run_of_all,) = result["variants"]["all"]["runs"]
     assert any(line.split() == ["youngs_modulus", "failed"] for line in lines)
-    assert any(line.startswith("all, seed 0 failed: ") and "left the grid" in line for line in lines)
+    assert any(line.startswith(f"all, seed 0 failed: {run_of_all}: body") and "left the grid" in line for line in lines)
     assert path.with_suffix(".png").stat().st_size > 10_000
     (run,) = map(Path, free["runs"])  # as where the start itself blows up
     (run / "history.csv").write_text((run / "history.csv").read_text().partition("\n")[0] + "\n")
@@ -300,7 +301,8 @@ def test_a_trial_that_was_killed_is_no_rate_that_fails(tmp_path, monkeypatch):
             self.process.kill()
 
     monkeypatch.setattr(Member, "start", start)
-    told = r"1 of 4 trials failed; control, seed 0 with optimizer.adam.learning_rate=0.1: was killed \(SIGKILL\)"
+    who = r"control, seed 0 with optimizer.adam.learning_rate=0.1 \(.*/out/finger/[0-9a-f]{12}\)"
+    told = rf"1 of 4 trials failed; {who}: was killed \(SIGKILL\); the same command goes on with it"
     with pytest.raises(RunError, match=told):
         run_ablation(scene, [], tmp_path / "out", threads=2, seeds=1, rates=[0.1, 1e-6])
     path, _ = run_ablation(scene, [], tmp_path / "out", threads=2, seeds=1, rates=[0.1, 1e-6])

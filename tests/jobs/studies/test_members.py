@@ -40,7 +40,7 @@ def test_a_finished_run_with_its_report_is_there(made, status):
 def test_a_run_that_failed_or_is_infeasible_is_there_and_says_why(made):
     runs = [made("infeasible"), made("failed", report=False)]
     assert unfinished(runs) == []
-    assert [run.failure for run in runs] == [f"{run.run}: its tip is too far" for run in runs]
+    assert [run.failure for run in runs] == ["its tip is too far"] * 2
 
 
 @pytest.mark.parametrize(

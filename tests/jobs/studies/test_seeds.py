@@ -79,7 +79,7 @@ def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path, 
     write_study(path, _summary("finger", runs))
     lines = summary_lines(path)
     assert lines[0].startswith("1 of 2 seeds learned")
-    assert "seed 0 failed: blew up" in lines
+    assert f"seed 0 failed: {runs[0].run}: blew up" in lines
     assert json.loads(path.read_text())["all"]["trained"]["loss"] == {"mean": losses[1], "low": None, "high": None}
     # and with one that went on for longer
     run_resume(run, ["optimizer.adam.max_iterations=3"], threads=1)

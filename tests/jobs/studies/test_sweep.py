@@ -156,6 +156,8 @@ def test_a_failed_run_is_a_row_and_the_command_fails(swept, tmp_path):
     assert result.exit_code == 1
     assert "1 of 2 runs ended" in result.output
     assert f"failed: {bad.run}: {bad.reason}" in result.output
+    assert f"warning: duration=0.4 ({bad.run}): {bad.reason}" in result.output
+    assert bad.run not in bad.reason
 
 
 def test_a_stopped_sweep_tells_how_many_are_finished(swept, tmp_path):
