@@ -62,8 +62,8 @@ def test_every_listed_source_exists():
 
 AFTERWARDS = {
     "ablation", "api", "autograd", "axes", "bench", "bodies", "compress", "excerpt", "export", "extrapolation",
-    "fit_scene", "fleet", "given_values", "grids", "kernels", "lengths", "observables", "oscillation", "own_loss", "proposal",
-    "quantities", "reporter", "runs", "seeds", "seen", "selfcheck", "threads", "tracked", "trackers",
+    "fit_scene", "fleet", "given_values", "grids", "kernels", "lengths", "observables", "oscillation", "own_loss",
+    "proposal", "quantities", "reporter", "runs", "seeds", "seen", "selfcheck", "threads", "tracked", "trackers",
     "trajectories", "validate", "warmup",
 }  # fmt: skip
 """Modules of jobs and of running that compute before a run, after it, or without one."""

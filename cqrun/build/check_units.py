@@ -15,6 +15,7 @@ from cqrun.build.limits import Limit
 from cqrun.errors import Problem, SceneError
 from cqrun.geometry.place import Place
 from cqrun.geometry.shape import Shape
+from cqrun.materials.moduli import moduli_of
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
@@ -96,14 +97,16 @@ def _squashed(scene: Scene, name: str) -> Iterator[Problem]:
     """Yield a warning for a body whose weight is more than its material carries: rho g H > E."""
     body = scene.bodies[name]
     law: Any = body.material.elastic.value
-    modulus, size = getattr(law, "youngs_modulus", None), _size(body.whole())
-    if modulus is None or not np.isfinite(size).all():
+    moduli, size = moduli_of(law), _size(body.whole())
+    if moduli is None or not np.isfinite(size).all():
         return
+    young = moduli.young
     weight = body.material.density * float(np.abs(scene.world.gravity) @ size)
-    if weight > modulus:
-        path = f"bodies.{name}.material.elastic.{body.material.elastic.name}.youngs_modulus"
+    if weight > young:
+        path, given = f"bodies.{name}.material.elastic.{body.material.elastic.name}", hasattr(law, "youngs_modulus")
+        path, modulus = (f"{path}.youngs_modulus", f"{young:.4g}") if given else (path, f"E = {young:.4g}")
         message = (
-            f"{modulus:.4g} Pa is less than the body's weight per area, {weight:.4g} Pa (density x gravity x height), "
+            f"{modulus} Pa is less than the body's weight per area, {weight:.4g} Pa (density x gravity x height), "
             "which will flatten it: check the units of the modulus, the density and the lengths"
         )
         yield Problem(scene.where(path), path, message)
@@ -114,8 +117,8 @@ def in_si(scene: Scene) -> bool:
     gravity = float(np.linalg.norm(scene.world.gravity))
     if gravity > 0:
         return STANDARD_GRAVITY[0] <= gravity <= STANDARD_GRAVITY[1]
-    laws: list[Any] = [body.material.elastic.value for body in scene.bodies.values() if not body.unit_mass]
-    return max((getattr(law, "youngs_modulus", 0.0) for law in laws), default=0.0) >= SOFTEST
+    laws = [moduli_of(body.material.elastic.value) for body in scene.bodies.values() if not body.unit_mass]
+    return max((moduli.young for moduli in laws if moduli is not None), default=0.0) >= SOFTEST
 
 
 def require_possible_plan(scene: Scene, limits: list[Limit]) -> None:

@@ -24,6 +24,7 @@ from cqrun.engine.model import ConditionModel
 from cqrun.engine.reference.contact import contact_square
 from cqrun.engine.surface import MeetingModel, ObstacleModel, SurfaceModel
 from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.materials.moduli import moduli_at
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 from cqrun.scene.world_and_time import BodyContact
@@ -87,10 +88,20 @@ def _constants(particles: Particles, assembly: Assembly, surface: BodySurface, d
 def _moduli(particles: Particles, assembly: Assembly, body: str) -> tuple[Array, Array]:
     """Return Young's modulus [Pa] and the impedance [Pa s/m] of a body's particles (N_b,), at the scene's values."""
     density, modulus, _ = assembly.stiffness(body, {})
-    law = assembly.scene.bodies[body].material.elastic.name
-    young = assembly.material(body, {}).get(f"bodies.{body}.material.elastic.{law}.youngs_modulus", modulus)
+    young = _young(assembly, body, modulus)
     room = particles.room[particles.of(body)]  # a particle of unit mass fills less than its volume of 1
     return young / room, np.sqrt(modulus * density) / room
+
+
+def _young(assembly: Assembly, body: str, otherwise: Array) -> Array:
+    """Return Young's modulus of a body's particles (N_b,) [Pa], or another number if its law does not tell it."""
+    elastic, numbers = assembly.scene.bodies[body].material.elastic, assembly.material(body, {})
+    law: Any = elastic.value
+    rows = {name: numbers[f"bodies.{body}.material.elastic.{elastic.name}.{name}"] for name in law.parameters}
+    if "youngs_modulus" in rows:
+        return rows["youngs_modulus"]
+    moduli = moduli_at(law, np.array(list(rows.values())))
+    return otherwise if moduli is None else np.asarray(moduli.young)
 
 
 # --- obstacles -------------------------------------------------------------------------------------------------------

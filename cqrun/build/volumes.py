@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.errors import Problem
+from cqrun.materials.moduli import moduli_of
 from cqrun.materials.term import has_volume
 from cqrun.scene.body import Body
 from cqrun.scene.load_path import values_of
@@ -15,7 +16,7 @@ from cqrun.scene.paths import canonical
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import bounds_of
 
-RATIO = "poissons_ratio"
+RATIO, BULK = "poissons_ratio", "bulk_modulus"
 
 NEARLY_INCOMPRESSIBLE = 0.49
 """Poisson's ratio from which a beam of 8 cells bends 3 % too little with local volumes."""
@@ -59,21 +60,34 @@ def locking_bodies(scene: Scene) -> Iterator[Problem]:
     for path, ratio in _ratios(scene):
         if ratio >= NEARLY_INCOMPRESSIBLE:
             message = (
-                f"{ratio:g} is nearly incompressible, and particles that each keep their own volume bend too little: "
-                f"at 0.499 a beam of 8 cells bends a fifth less than it should; {asks}"
+                f"a Poisson's ratio of {ratio:.5g} is nearly incompressible, and particles that each keep their own "
+                f"volume bend too little: at 0.499 a beam of 8 cells bends a fifth less than it should; {asks}"
             )
             yield Problem(scene.where(path), path, message)
 
 
 def _ratios(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Yield the path of each Poisson's ratio of a body or a part of it, and the largest value that it may have."""
-    along = {canonical(scene, key): max(values_of(entry)) for key, entry in scene.path.items() if key.endswith(RATIO)}
+    """Yield the path that sets the Poisson's ratio of each body or part of it, and the largest ratio it may have."""
     for name, body in scene.bodies.items():
-        law = body.material.elastic
-        inside = f"elastic.{law.name}.{RATIO}"
-        found = {f"bodies.{name}.material.{inside}": getattr(law.value, RATIO, 0.0)}
-        for part, other in body.material_of.items():
-            if (ratio := other.value(inside)) is not None:
-                found[f"bodies.{name}.material_of.{part}.{inside}"] = ratio
-        for path, ratio in found.items():
-            yield path, max(ratio, *(bounds_of(scene, path) or (ratio,)), along.get(path, ratio))
+        law: Any = body.material.elastic.value
+        key = next((key for key in (RATIO, BULK) if getattr(law, key, None) is not None), None)
+        inside = f"elastic.{body.material.elastic.name}.{key}"
+        found = {f"bodies.{name}.material.{inside}": getattr(law, key, 0.0)} if key else {}
+        for part, other in body.material_of.items() if key else ():
+            if (value := other.value(inside)) is not None:
+                found[f"bodies.{name}.material_of.{part}.{inside}"] = value
+        for path, value in found.items():
+            largest = max(value, *(bounds_of(scene, path) or (value,)), _along(scene).get(path, value))
+            yield path, largest if key == RATIO else _ratio_of(law, largest)
+
+
+def _along(scene: Scene) -> dict[str, float]:
+    """Return the largest value of each Poisson's ratio or bulk modulus on a path of loads, by its path."""
+    keys = [key for key in scene.path if key.endswith((RATIO, BULK))]
+    return {canonical(scene, key): max(values_of(scene.path[key])) for key in keys}
+
+
+def _ratio_of(law: Any, bulk: float) -> float:
+    """Return Poisson's ratio at rest of a law with another bulk modulus."""
+    moduli = moduli_of(law.model_copy(update={BULK: bulk}))
+    return 0.0 if moduli is None else moduli.ratio

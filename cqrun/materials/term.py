@@ -224,3 +224,23 @@ def _zeros_like_rows(a):
     if not isinstance(a, types.BaseTuple):
         return None
     return written("lambda a: " + written_tuple("a[{r}] * 0.0", len(a)))
+
+
+def add_rows(a: Any, b: Any) -> Any:
+    """Return the sums of the entries of two tuples of one length."""
+    return tuple(x + y for x, y in zip(a, b, strict=True))
+
+
+@overload(add_rows)
+def _add_rows(a, b):
+    return written("lambda a, b: " + written_tuple("a[{r}] + b[{r}]", len(a)))
+
+
+def with_row(rows: Any, row: Any) -> Any:
+    """Return a tuple with one more entry at its end."""
+    return (*rows, row)
+
+
+@overload(with_row)
+def _with_row(rows, row):
+    return written("lambda rows, row: " + written_tuple("rows[{r}]", len(rows))[:-1] + "row,)")

@@ -19,7 +19,7 @@ from numba import types
 from numba.extending import overload, register_jitable
 
 from cqrun.numerics.compile import allocating_kernel
-from cqrun.numerics.lanes import Lanes, all_lanes, lane, select, sqrt, with_lane
+from cqrun.numerics.lanes import Lanes, all_lanes, below, lane, select, sqrt, with_lane
 from cqrun.numerics.tensor import (
     add,
     cofactor,
@@ -63,21 +63,12 @@ def _polar_vjp(F, R, R_bar):
 
 def away_from_zero(a: Any) -> Any:
     """Return `a`, or TINY if |a| is smaller."""
-    return select(_below(a * a, TINY * TINY), TINY, a)
+    return select(below(a * a, TINY * TINY), TINY, a)
 
 
 @overload(away_from_zero)
 def _away_from_zero(a):
-    return lambda a: select(_below(a * a, TINY * TINY), a * 0.0 + TINY, a)
-
-
-def _below(a: Any, b: Any) -> Any:
-    return np.real(a) < np.real(b)
-
-
-@overload(_below)
-def _below_overload(a, b):
-    return lambda a, b: a < b
+    return lambda a: select(below(a * a, TINY * TINY), a * 0.0 + TINY, a)
 
 
 @register_jitable
@@ -85,7 +76,7 @@ def _polar_2d(F: Any) -> Any:
     # tr(R^T F) is largest at the angle atan2(F10 - F01, F00 + F11)
     a, b = F[0] + F[3], F[2] - F[1]
     r = sqrt(a * a + b * b)
-    turned = _below(r * 0.0 + TINY, r)
+    turned = below(r * 0.0 + TINY, r)
     c = select(turned, a / away_from_zero(r), a * 0.0 + 1.0)
     s = select(turned, b / away_from_zero(r), b * 0.0)
     return (c, -s, s, c)
@@ -120,16 +111,16 @@ def _polar_3d(F: Any) -> Any:
     rounding = _of_precision(F[0], 1e-15, 5e-7)
     J = det(F)
     R = F
-    small = _below(J, J)
+    small = below(J, J)
     for _ in range(NEWTON_STEPS):
         following = scale(add(R, scale(cofactor(R), 1.0 / det(R))), 0.5)
         step = sub(following, R)
         R = following
-        small = _below(inner(step, step), J * 0.0 + converged)
+        small = below(inner(step, step), J * 0.0 + converged)
         if all_lanes(small):
             break
     size = inner(F, F)
-    proper = small & _below(rounding * (size * sqrt(size)), J)
+    proper = small & below(rounding * (size * sqrt(size)), J)
     return R if all_lanes(proper) else _mend(F, R, proper)
 
 

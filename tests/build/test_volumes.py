@@ -48,8 +48,19 @@ def test_it_is_warned_of_where_volumes_stay_local(ratio, bound):
         ({"frame": "updated"}, "`world.frame: ref"),
     ):
         (message,) = (str(problem) for problem in locking_bodies(scene(ratio, bound, **world)))
-        assert f"{RATIO}: {bound or ratio:g} is nearly incompressible" in message
+        assert f"{RATIO}: a Poisson's ratio of {bound or ratio:g} is nearly incompressible" in message
         assert way_out in message
+
+
+@pytest.mark.parametrize(("bulk", "bound", "averaged"), [(60e3, None, True), (10e3, None, False), (10e3, 60e3, True)])
+def test_a_bulk_modulus_counts_by_its_ratio(bulk, bound, averaged):
+    path = "bodies.block.material.elastic.yeoh.bulk_modulus"
+    data = scene(0.3).model_dump(exclude_none=True, exclude_defaults=True)
+    data["bodies"]["block"]["material"]["elastic"] = {"yeoh": {"c10": 500.0, "bulk_modulus": bulk}}  # mu = 1 kPa
+    if bound is not None:
+        truth = {"body": "block", "truth": {path: bulk}, "markers": {"a": [0.35, 0.35]}, "every": 1}
+        data |= {"unknowns": {path: {"bounds": [1e3, bound]}}, "data": {"synthetic": truth}, "job": "sysid"}
+    assert averages(load_scene(data)) == averaged
 
 
 @pytest.mark.parametrize(("ratio", "bound"), [(0.48, None), (0.48, 0.485)])

@@ -10,11 +10,15 @@ from typing import Any
 import numpy as np
 
 from cqrun.actuators.muscle import MuscleKernel as Muscle
+from cqrun.materials.rubber import Rubber
 from cqrun.materials.term import kirchhoff, kirchhoff_vjp
 from cqrun.plugin import registry
 
-RANGES = {"youngs_modulus": (1.0, 10.0), "poissons_ratio": (-0.3, 0.45)}
-"""Where parameters are drawn from that two kinds of term share; others from their own bounds."""
+RANGES = {
+    "youngs_modulus": (1.0, 10.0), "poissons_ratio": (-0.3, 0.45), "bulk_modulus": (1.0, 10.0),
+    "c10": (0.5, 2.0), "c01": (0.1, 0.5), "jm": (3.0, 10.0), "lock": (1.5, 3.0),
+}  # fmt: skip
+"""Where parameters are drawn from that terms share, or that have no bounds; others from their own bounds."""
 
 N = 12
 """States tried at a time."""
@@ -22,10 +26,10 @@ N = 12
 
 @dataclass(frozen=True)
 class Term:
-    """One term: its name, its kernel's view of parameters, and a draw of N of them (rows, N)."""
+    """One term: its name, its plug-in, its kernel's view of parameters, and a draw of N of them (rows, N)."""
 
     name: str
-    cls: Any
+    spec: Any
     kernel: Any
     theta: np.ndarray
 
@@ -58,24 +62,33 @@ def elastic_names() -> list[str]:
 
 def all_names() -> list[str]:
     """Return every term that a stress may have: elastic laws, further terms, and muscles."""
-    return [*elastic_names(), *registry.plugins("material_term"), "incompressibility^4", "muscle"]
+    return [
+        *elastic_names(), "mooney_rivlin/bulk", *registry.plugins("material_term"), "incompressibility^4", "muscle"
+    ]  # fmt: skip
 
 
 def make(name: str, dim: int, rng: np.random.Generator) -> Term:
-    """Return a term by name, its parameters drawn at random; `name^p` is a term of another power."""
+    """Return a term by name, its parameters drawn at random.
+
+    `name^p` is a term of another power, and `name/bulk` a law whose bulk modulus is given in place of nu.
+    """
     if name == "muscle":
         rows = dim * (dim + 1) // 2
         return Term(name, None, Muscle(None, (0,) * rows), rng.normal(size=(rows, N)))
     plain, _, power = name.partition("^")
+    plain, _, bulk = plain.partition("/")
     known = registry.plugins("elastic") | registry.plugins("material_term")
-    return of_class(name, known[plain], rng, **({"power": int(power)} if power else {}))
+    options = {"power": int(power)} if power else {}
+    return of_class(name, known[plain], rng, bulk="bulk_modulus" if bulk else "poissons_ratio", **options)
 
 
-def of_class(name: str, cls: Any, rng: np.random.Generator, **options: Any) -> Term:
-    """Return the term of a plug-in class."""
-    theta = np.array([rng.uniform(*_range(cls, p), N) for p in cls.parameters])
-    given = {p: float(theta[r, 0]) for r, p in enumerate(cls.parameters) if p in cls.model_fields}
-    return Term(name, cls, cls(**given, **options).kernel_term(None), theta)
+def of_class(name: str, cls: Any, rng: np.random.Generator, bulk: str = "poissons_ratio", **options: Any) -> Term:
+    """Return the term of a plug-in class; `bulk` is the parameter by which a law of rubber gets its bulk modulus."""
+    names = (*cls.own, bulk) if issubclass(cls, Rubber) else cls.parameters
+    theta = np.array([rng.uniform(*_range(cls, p), N) for p in names])
+    given = {p: float(theta[r, 0]) for r, p in enumerate(names) if p in cls.model_fields}
+    spec = cls(**given, **options)
+    return Term(name, spec, spec.kernel_term(None), theta)
 
 
 def _range(cls: Any, name: str) -> tuple[float, float]:

@@ -109,7 +109,8 @@ def _registered(which: int, function: Any) -> tuple[dict[type, Any], type, Any]:
 @DIM
 def test_a_body_that_is_only_turned_has_no_stress(name, dim, rng):
     term = make(name, dim, rng)
-    close(term.tau(rotations(dim, rng), np.zeros((N, dim, dim))), np.zeros((N, dim, dim)), 1e-11)
+    tau = term.tau(rotations(dim, rng), np.zeros((N, dim, dim)))
+    np.testing.assert_allclose(tau, 0.0, rtol=0, atol=1e-14 + 3e-15 * term.spec.wave_modulus(term.theta).max())
 
 
 @EVERY
@@ -199,7 +200,9 @@ def test_small_strains_obey_hooke(name, dim, rng):
     term, Q = make(name, dim, rng), rotations(dim, rng)
     e = rng.normal(size=(N, dim, dim))
     e = 1e-7 * (e + t(e))
-    mu, lam = (a[:, None, None] for a in lame(*term.theta))
+    mu = term.spec.shear_modulus(term.theta)
+    lam = (term.spec.wave_modulus(term.theta) - 2 * mu)[:, None, None]
+    mu = mu[:, None, None]
     hooke = 2 * mu * e + lam * np.trace(e, axis1=1, axis2=2)[:, None, None] * np.eye(dim)
     close(term.tau(Q @ (np.eye(dim) + e), 0 * e) / 1e-7, Q @ hooke @ t(Q) / 1e-7, 1e-5)
 
@@ -211,10 +214,10 @@ def test_what_a_term_tells_the_time_step(name, dim, rng):
     term, rest = make(name, dim, rng), np.tile(np.eye(dim), (N, 1, 1))
     pull = np.zeros((N, dim, dim))
     pull[:, 0, 0] = 1.0
-    part = Incompressibility(power=4) if "^4" in name else Incompressibility() if "incom" in name else term.cls
     slope = richardson(lambda h: term.tau(rest + h * pull, 0 * pull))[:, 0, 0]
-    np.testing.assert_allclose(part.wave_modulus(term.theta), slope, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(part.wave_viscosity(term.theta), term.tau(rest, pull)[:, 0, 0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(term.spec.wave_modulus(term.theta), slope, rtol=1e-9, atol=1e-9)
+    viscous = term.tau(rest, pull)[:, 0, 0]
+    np.testing.assert_allclose(term.spec.wave_viscosity(term.theta), viscous, rtol=1e-12, atol=1e-12)
 
 
 # --- viscosity and muscles -------------------------------------------------------------------------------
@@ -278,7 +281,7 @@ def test_the_derivative_of_lam_by_nu_is_not_the_printed_one():
     assert lame_vjp(E, nu, 2.0, 5.0)[0] == pytest.approx((2 * mu.imag + 5 * lam.imag) / h, rel=1e-14)
 
 
-@ELASTIC
+@pytest.mark.parametrize("name", ["fixed_corotated", "neo_hookean"])
 @DIM
 def test_the_derivative_by_E_is_not_the_printed_one(name, dim, rng):
     """It is (tau_bar : tau) / E. CQ2 (A95) prints the sum of tau_bar / E, five times less in a case tried."""
@@ -345,14 +348,22 @@ def on_lanes(terms, terms_bar, table, out, width, dims):
                 row += 1
 
 
+def _parameters(part: Term) -> tuple[str, ...]:
+    return getattr(part.spec, "parameters", ("activation",) * len(part.theta))
+
+
+def _divides(parameter: str) -> bool:
+    """Return whether a parameter stays as it is where a term is switched off by its moduli."""
+    return parameter in ("poissons_ratio", "jm", "lock")
+
+
 def _only(parts: list[Term], on: int, n: int, real: type) -> list[np.ndarray]:
     """Return parameters (rows, n) of every term, all stiffness and viscosity zero but those of term `on`."""
     thetas = []
     for k, part in enumerate(parts):
-        theta = np.resize(part.theta[:, :1], (len(part.theta), n)).astype(real).astype(float)
+        theta = np.repeat(part.theta[:, :1], n, axis=1).astype(real).astype(float)
         if k != on:
-            # the laws of E and nu keep their nu: it divides
-            theta[np.arange(len(theta)) != (1 if "poissons_ratio" in getattr(part.cls, "parameters", ()) else -1)] = 0.0
+            theta[[not _divides(parameter) for parameter in _parameters(part)]] = 0.0
         thetas.append(theta)
     return thetas
 
@@ -364,7 +375,7 @@ def test_compiled_terms_are_their_plain_twins(dim, real, tolerance, rng):
     width = lane_width(real)
     n = 2 * width
     parts = [make(name, dim, rng) for name in all_names() if name != "incompressibility^4"]
-    (F, C), tau_bar = states(dim, rng), rng.normal(size=(N, dim, dim))
+    (F, C), tau_bar = states(dim, rng, 0.1), rng.normal(size=(N, dim, dim))  # within Gent's limit
     F, C, tau_bar = (np.resize(a, (n, dim, dim)).astype(real).astype(float) for a in (F, C, tau_bar))
     table = pack(np.concatenate([entries(F), entries(C), entries(tau_bar)]), real)
     for on, part in enumerate(parts):

@@ -12,14 +12,21 @@ from cqrun.numerics.tensor import mul_bt
 from cqrun.plugin.registry import plugins
 
 ELASTIC = {"youngs_modulus": 2.0, "poissons_ratio": 0.3}
+LAWS: dict[str, dict[str, Any]] = {
+    "mooney_rivlin": {"c10": 0.5, "c01": 0.2},
+    "yeoh": {"c10": 0.5, "c20": -0.1, "c30": 0.05},
+    "gent": {"mu": 1.0, "jm": 10.0},
+    "arruda_boyce": {"mu": 1.0, "lock": 2.0},
+}
 TERMS: dict[tuple[str, str], list[dict[str, Any]]] = {
     ("elastic", "fixed_corotated"): [ELASTIC],
     ("elastic", "neo_hookean"): [ELASTIC],
+    **{("elastic", name): [LAWS[name] | {"poissons_ratio": 0.3}, LAWS[name] | {"bulk_modulus": 3.0}] for name in LAWS},
     ("material_term", "incompressibility"): [{}, {"power": 4}],
     ("material_term", "viscosity"): [{"shear": 0.3, "bulk": 0.1}],
 }
 CASES = [(kind, name, fields) for (kind, name), every in TERMS.items() for fields in every]
-EVERY = pytest.mark.parametrize(("kind", "name", "fields"), CASES, ids=[f"{c[1]}{len(c[2])}" for c in CASES])
+EVERY = pytest.mark.parametrize(("kind", "name", "fields"), CASES, ids=[f"{c[1]}-{'-'.join(c[2])}" for c in CASES])
 DIM = pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
 N = 11
 
@@ -27,9 +34,10 @@ N = 11
 def made(kind: str, name: str, fields: dict[str, Any], dim: int) -> tuple[Any, tuple[np.ndarray, ...], Any]:
     """Return a term's kernel view, its parameters, and random deformation gradients, also inverted where allowed."""
     rng = np.random.default_rng(4)
-    theta = (2.0 + 0.2 * rng.uniform(size=N), 0.3 + 0.02 * rng.uniform(size=N))
+    start = [fields[p] for p in fields] if name in LAWS else [2.0, 0.3]
+    theta = tuple(value * (1.0 + 0.1 * rng.uniform(size=N)) for value in start)
     F = np.eye(dim) + 0.25 * rng.normal(size=(N, dim, dim)) / dim
-    if name != "neo_hookean":
+    if name in ("fixed_corotated", "incompressibility", "viscosity"):
         F[0, 0, 0] *= -1.0
     return plugins(kind)[name](**fields).kernel_term(np.array(theta)), theta, tuple(F.reshape(N, -1).T.copy())
 
