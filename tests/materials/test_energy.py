@@ -17,6 +17,7 @@ LAWS: dict[str, dict[str, Any]] = {
     "yeoh": {"c10": 0.5, "c20": -0.1, "c30": 0.05},
     "gent": {"mu": 1.0, "jm": 10.0},
     "arruda_boyce": {"mu": 1.0, "lock": 2.0},
+    "ogden": {"mu_1": 0.8, "alpha_1": 1.5, "mu_2": -0.2, "alpha_2": -2.0, "mu_3": 0.01, "alpha_3": 6.0},
 }
 TERMS: dict[tuple[str, str], list[dict[str, Any]]] = {
     ("elastic", "fixed_corotated"): [ELASTIC],
