@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cqrun.figures.colours import Colours
-from cqrun.figures.dots import Dots, add_dots
+from cqrun.figures.dots import Dots, OutlinedDots
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.scenery import Goal, boundary_section, frame_axes, plot_boundaries, plot_goals
 from cqrun.figures.solid import SolidBodies
@@ -155,12 +155,8 @@ class _Flat:
     """Bodies in 2D, drawn as dots."""
 
     def __init__(self, axes: Axes, stage: Stage, corners: Array, unit: Unit, layers: int) -> None:
-        self._factor = unit.factor
-        self._dots = add_dots(axes, unit.factor * np.tile(stage.dots.size, layers))
-
-    def paint(self, layers: Sequence[tuple[Array, Array]]) -> None:
-        self._dots.set_offsets(self._factor * np.concatenate([x for x, _ in layers]))
-        self._dots.set_facecolor(np.concatenate([rgb for _, rgb in layers]))
+        self._dots = OutlinedDots(axes, stage.dots, unit.factor, layers)
+        self.paint = self._dots.paint
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
@@ -223,13 +219,8 @@ def _bar_is_below(width: float, height: float) -> bool:
 
 def _colour_bar(figure: Figure, axes: Axes, colours: Colours) -> None:
     """Add the colour bar on the right, or below if the bodies are much wider than tall."""
-    import matplotlib
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     place = axes.get_position()
     wide, tall = figure.get_size_inches()
-    scale = ScalarMappable(Normalize(colours.low, colours.high), matplotlib.colormaps[colours.cmap])
     if _bar_is_below(place.width * wide, place.height * tall):
         length = min(place.width, 3.2 / wide)
         spot: Any = (place.x0 + 0.5 * (place.width - length), 0.45 / tall, length, 0.11 / tall)
@@ -238,9 +229,7 @@ def _colour_bar(figure: Figure, axes: Axes, colours: Colours) -> None:
         length = min(place.height, 3.2 / tall)
         spot = (place.x1 + 0.2 / wide, place.y0 + 0.5 * (place.height - length), 0.12 / wide, length)
         orientation = "vertical"
-    bar = figure.colorbar(
-        scale, cax=figure.add_axes(spot), orientation=orientation, extend="max" if colours.beyond else "neither"
-    )
+    bar = figure.colorbar(colours.scale(), cax=figure.add_axes(spot), orientation=orientation, extend=colours.extend)
     bar.set_label(colours.label)
     bar.outline.set_visible(False)
     bar.ax.grid(visible=False)
