@@ -20,6 +20,7 @@ from cqrun.scene.schema import Scene
 from cqrun.units import Unit
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -82,6 +83,8 @@ class Stage:
 class Picture:
     """The picture; `show` draws a frame and returns its pixels, `close` releases the renderer.
 
+    Axes, ticks, ground and colour bar are drawn once. Only what moves, and what lies on it, is drawn for every frame.
+
     Args:
         stage: the parts that are the same in all pictures.
         layers: number of instants that are shown at once.
@@ -114,11 +117,26 @@ class Picture:
         if not stage.look.names:
             _scale_bar(self.axes, self._corners, self._unit)
         _colour_bar(self.figure, self.axes, stage.colours)
-        self._stamp = self.axes.set_title("", pad=7)
+        self._stamp = self.axes.set_title(" ", pad=7)
         self.figure.text(
             1 - 0.1 / self.figure.get_figwidth(), 1 - 0.1 / self.figure.get_figheight(), stage.name,
             ha="right", va="top", fontsize=8, color=GREY,
         )  # fmt: skip
+        self._moving = self._on_bodies()
+        self._still = self._drawn_once()
+
+    def _on_bodies(self) -> list[Artist]:
+        """Return what is drawn for every frame, the lowest first: the bodies, what covers them, and the title."""
+        covering = [a for a in self.axes.get_children() if a.get_zorder() >= self._bodies.artist.get_zorder()]
+        covering = [a for a in covering if a not in (self.axes.xaxis, self.axes.yaxis, self.axes.patch)]
+        return sorted(covering, key=lambda artist: artist.get_zorder())
+
+    def _drawn_once(self) -> Any:
+        """Draw what stays as it is, and return its pixels."""
+        for artist in self._moving:
+            artist.set_animated(True)
+        self._canvas.draw()
+        return self._canvas.copy_from_bbox(self.figure.bbox)
 
     def show(self, layers: Sequence[tuple[Array, Array]], stamp: str, frame: int) -> Array:
         """Return the picture (h, w, 3) of uint8, with even h and w.
@@ -137,7 +155,9 @@ class Picture:
         for line, route in zip(self._cables, self.stage.cables, strict=True):
             line.set_data(*(self._unit.factor * layers[-1][0][route] @ self.stage.look.axes.T).T)
         self._stamp.set_text(stamp)
-        self._canvas.draw()
+        self._canvas.restore_region(self._still)
+        for artist in self._moving:
+            self.figure.draw_artist(artist)
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
     def close(self) -> None:
@@ -155,8 +175,8 @@ class _Flat:
     """Bodies in 2D, drawn as dots."""
 
     def __init__(self, axes: Axes, stage: Stage, corners: Array, unit: Unit, layers: int) -> None:
-        self._dots = OutlinedDots(axes, stage.dots, unit.factor, layers)
-        self.paint = self._dots.paint
+        dots = OutlinedDots(axes, stage.dots, unit.factor, layers)
+        self.paint, self.artist = dots.paint, dots.collection
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
@@ -171,13 +191,13 @@ class _Solid:
         self._bodies = SolidBodies(stage.scene, stage.look, corners, stage.box, stage.dots.size, pixels)
         (left, low), (right, high) = unit.factor * corners
         blank = np.zeros((pixels[1], pixels[0], 4))
-        self._image = axes.imshow(
+        self.artist = axes.imshow(
             blank, extent=(left, right, low, high), origin="upper", aspect="auto", interpolation="none", zorder=1
         )
         axes.set_aspect("equal")
 
     def paint(self, layers: Sequence[tuple[Array, Array]]) -> None:
-        self._image.set_data(self._bodies.paint(layers))
+        self.artist.set_data(self._bodies.paint(layers))
 
     def close(self) -> None:
         self._bodies.close()

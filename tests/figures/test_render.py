@@ -16,6 +16,7 @@ from PIL import Image
 from cqrun.build.particles import sample
 from cqrun.errors import MissingExtra, Stopped, UsageError
 from cqrun.figures import movie, solid
+from cqrun.figures.picture import Picture
 from cqrun.figures.render import RenderOptions, followed_particles, render, set_stage, shown_frames, stamp
 from cqrun.figures.run_data import TRAJECTORY, read_run
 from cqrun.figures.scenery import goals, plot_goals
@@ -37,6 +38,26 @@ needs_ffmpeg = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def plane(tmp_path_factory):
     return pulled(tmp_path_factory.mktemp("plane"))
+
+
+def test_a_film_draws_its_axes_once_and_looks_as_if_all_were_drawn(plane):
+    run, shown = read_run(plane), [0, 1, 2, 3]
+    with Frames(plane / TRAJECTORY) as frames, styled():
+        stage = set_stage(run, frames, shown, RenderOptions())
+        layers = [(frames.read("x", frame), stage.colours.rgb(frame)) for frame in shown]
+        with Picture(stage, 1, 60.0) as picture:
+            drawn = []
+            picture.axes.xaxis.draw = drawn.append
+            pictures = [picture.show([layer], f"t = {frame} s", frame) for frame, layer in enumerate(layers)]
+            assert drawn == []
+        with Picture(stage, 1, 60.0) as picture:
+            picture.show([layers[3]], "t = 3 s", 3)
+            for artist in picture.axes.get_children():
+                artist.set_animated(False)
+            picture.figure.canvas.draw()
+            whole = np.asarray(picture.figure.canvas.buffer_rgba())[..., :3]
+    np.testing.assert_array_equal(pictures[3], whole)
+    assert (pictures[0] != pictures[3]).any()
 
 
 def block(**more):
