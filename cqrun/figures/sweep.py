@@ -26,7 +26,7 @@ from cqrun.figures.style import (
     save,
     styled,
     tick_text,
-)  # fmt: skip
+)
 from cqrun.jobs.studies.sweep import require_found
 from cqrun.plugin.contract import Array
 from cqrun.scene.document import read
