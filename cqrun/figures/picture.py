@@ -127,8 +127,9 @@ class Picture:
 
     def _on_bodies(self) -> list[Artist]:
         """Return what is drawn for every frame, the lowest first: the bodies, what covers them, and the title."""
-        covering = [a for a in self.axes.get_children() if a.get_zorder() >= self._bodies.artist.get_zorder()]
-        covering = [a for a in covering if a not in (self.axes.xaxis, self.axes.yaxis, self.axes.patch)]
+        axes, lowest = self.axes, self._bodies.artist.get_zorder()
+        others: list[Artist] = [axes.xaxis, axes.yaxis, axes.patch, *(() if axes.axison else axes.spines.values())]
+        covering = [each for each in axes.get_children() if each.get_zorder() >= lowest and each not in others]
         return sorted(covering, key=lambda artist: artist.get_zorder())
 
     def _drawn_once(self) -> Any:

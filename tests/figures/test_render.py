@@ -40,9 +40,25 @@ def plane(tmp_path_factory):
     return pulled(tmp_path_factory.mktemp("plane"))
 
 
-def test_a_film_draws_its_axes_once_and_looks_as_if_all_were_drawn(plane):
-    run, shown = read_run(plane), [0, 1, 2, 3]
-    with Frames(plane / TRAJECTORY) as frames, styled():
+class NoBodies:
+    """Bodies in 3D that need no renderer, because nothing of them is seen."""
+
+    def __init__(self, *words):
+        self.blank = np.zeros((*words[-1][::-1], 4))
+
+    def paint(self, layers):
+        return self.blank
+
+    def close(self):
+        """Do nothing: there is nothing to release."""
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_film_draws_its_axes_once_and_looks_as_if_all_were_drawn(plane, dim, tmp_path, monkeypatch):
+    monkeypatch.setattr("cqrun.figures.picture.SolidBodies", NoBodies)
+    folder = plane if dim == 2 else moving(tmp_path, block(), dim=3)
+    run, shown = read_run(folder), [0, 1, 2, 3]
+    with Frames(folder / TRAJECTORY) as frames, styled():
         stage = set_stage(run, frames, shown, RenderOptions())
         layers = [(frames.read("x", frame), stage.colours.rgb(frame)) for frame in shown]
         with Picture(stage, 1, 60.0) as picture:
