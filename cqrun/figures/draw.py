@@ -196,7 +196,7 @@ def draw_several(
     if any(shows_other_runs(base.with_name(f"{base.name}.{kind}"), identity) for kind in kinds):
         base = base.with_name(f"{base.name}_{identity[:8]}")
     make_directory(out)
-    draw = draw_overlay if any(run.job in FORWARD for run in runs) else draw_comparison
+    draw = draw_overlay if any(run.job in FORWARD and not run.history for run in runs) else draw_comparison
     with styled():
         return save(draw(runs, term), base, kinds, keywords=identity)
 
