@@ -26,6 +26,7 @@ from cqrun.jobs.table import JOBS
 from cqrun.learning.agent import Agent
 from cqrun.learning.description import control_lines, line, objective_lines
 from cqrun.learning.episodes import EpisodeProblem, differentiated, has_episodes
+from cqrun.materials.moduli import at_rest_words
 from cqrun.running.bodies import lies, made_of, on_particles, resolved, rounding_of
 from cqrun.running.cost import (
     NANOSECONDS,
@@ -134,6 +135,9 @@ def _body(built: Built, name: str, thinnest: Thinnest) -> Iterator[str]:
     yield line(f"body {name}", made_of(built, name))
     yield line("", lies(built, name))
     yield line("", resolved(thinnest))
+    elastic = built.scene.bodies[name].material.elastic
+    if words := at_rest_words(elastic.value):
+        yield line("", f"{elastic.name}: {words}")
     groups = [f"{group} {len(members):,}" for group, members in built.particles.groups(name).items()]
     if groups:
         yield line("", f"groups: {listed(groups)}")

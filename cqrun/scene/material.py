@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from cqrun.explain import Loc
 from cqrun.plugin.choice import Choice, Chosen
@@ -32,6 +32,12 @@ class Material(Terms):
 
     density: float = quantity("kg/m^3", "Density at rest", differentiable=True, gt=0)
     elastic: Annotated[Chosen[Plugin], Choice("elastic")] = Field(description="Elastic law")
+
+    @model_validator(mode="after")
+    def _bind_terms(self) -> Self:
+        for term in self.terms.values():
+            term.bind(self.elastic.value)  # type: ignore[attr-defined]  # a term, by its kind
+        return self
 
 
 class RegionMaterial(Terms):

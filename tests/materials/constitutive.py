@@ -69,10 +69,15 @@ def elastic_names() -> list[str]:
     return list(registry.plugins("elastic"))
 
 
+def without_history() -> list[str]:
+    """Return the further terms of a stress that have no history; tests of `prony` are in test_prony.py."""
+    return [name for name, cls in registry.plugins("material_term").items() if not getattr(cls, "relaxes", False)]
+
+
 def all_names() -> list[str]:
-    """Return every term that a stress may have: elastic laws, further terms, and muscles."""
-    variants = ["mooney_rivlin/bulk", "ogden:2", "ogden:3"]
-    return [*elastic_names(), *variants, *registry.plugins("material_term"), "incompressibility^4", "muscle"]
+    """Return every term without history that a stress may have: elastic laws, further terms, and muscles."""
+    variants = ["mooney_rivlin/bulk", "ogden:2", "ogden:3", "fibre:2", "fibre:t"]
+    return [*elastic_names(), *variants, *without_history(), "incompressibility^4", "muscle"]
 
 
 def make(name: str, dim: int, rng: np.random.Generator) -> Term:
@@ -87,9 +92,17 @@ def make(name: str, dim: int, rng: np.random.Generator) -> Term:
     plain, _, power = name.partition("^")
     plain, _, bulk = plain.partition("/")
     plain = plain.partition(":")[0]
-    known = registry.plugins("elastic") | registry.plugins("material_term")
+    if plain == "fibre":
+        directions = [[1.0] + [0.0] * (dim - 1), [1.0, 2.0, 3.0][:dim]][: 1 + name.endswith(":2")]
+        return of_class(name, known_terms()[plain], rng, directions=directions, tension_only=name.endswith("t"))
+    known = known_terms()
     options = {"power": int(power)} if power else {}
     return of_class(name, known[plain], rng, bulk="bulk_modulus" if bulk else "poissons_ratio", **options)
+
+
+def known_terms() -> dict[str, Any]:
+    """Return the classes of all terms of a stress by name."""
+    return registry.plugins("elastic") | registry.plugins("material_term")
 
 
 def of_class(name: str, cls: Any, rng: np.random.Generator, bulk: str = "poissons_ratio", **options: Any) -> Term:

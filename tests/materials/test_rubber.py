@@ -55,3 +55,18 @@ def test_a_state_beyond_gents_limit_has_no_stress(rng):
 def test_what_is_no_law_is_refused(law, given, message):
     with pytest.raises(ValueError, match=message):
         law(**given)
+
+
+@DIM
+def test_fibres_that_only_pull_do_not_push(dim, rng):
+    slack = make("fibre:t", dim, rng)
+    both_ways = make("fibre", dim, rng)
+    F = np.tile(np.eye(dim), (N, 1, 1))
+    for stretch in (0.8, 1.25):
+        F[:, 0, 0] = stretch
+        tau = both_ways.tau(F, 0 * F)[:, 0, 0]
+        assert tau == pytest.approx(0.5 * both_ways.theta[0] * (stretch**2 - 1) * stretch**2, rel=1e-12)
+        pulled = slack.tau(F, 0 * F)[:, 0, 0]
+        expected = 0.5 * slack.theta[0] * (stretch**2 - 1) * stretch**2 if stretch > 1 else 0.0 * pulled
+        assert pulled == pytest.approx(expected, rel=1e-12)
+    assert (slack.spec.wave_modulus(slack.theta) >= slack.theta[0]).all()
