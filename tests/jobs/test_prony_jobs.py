@@ -1,0 +1,107 @@
+"""A stress that relaxes, in whole jobs: the gradient of a motion in both frames, rest, a fit, and files."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from little_worlds import needs_jit
+from small_beam import assert_same, result_of
+
+from cqrun.jobs.gradcheck import run_gradcheck
+from cqrun.jobs.rest import REST
+from cqrun.jobs.simulate import run_simulate
+from cqrun.jobs.sysid import run_sysid
+from cqrun.store.trajectory import read_trajectory
+
+pytestmark = needs_jit
+
+PRONY = "bodies.beam.material.prony"
+SCENE = """\
+cqrun: 1
+world: {size: [0.18, 0.16], dx: 0.01, gravity: [0, -9.81]}
+bodies:
+  beam:
+    shape: {box: {corner: [0.02, 0.1], size: [0.14, 0.03]}}
+    particles_per_cell: 4
+    material:
+      density: 1070
+      elastic: {neo_hookean: {youngs_modulus: 1.5e5, poissons_ratio: 0.3}}
+      prony: {ratio_1: 0.4, time_1: 0.02}
+boundaries:
+  clamp: {sticky: {region: {box: {corner: [0, 0], size: [0.04, 0.16]}}}}
+time: {duration: 0.1, control_step: 0.01}
+"""
+GRADIENT = """\
+objective: {low: {reach: {body: beam, position: [0.1, 0.05]}}}
+unknowns:
+  bodies.beam.material.elastic.neo_hookean.youngs_modulus: {bounds: [5.0e4, 5.0e5], scale: log}
+  bodies.beam.material.prony.ratio_1: {bounds: [0.01, 1]}
+  bodies.beam.material.prony.time_1: {bounds: [0.005, 1], scale: log}
+"""
+FIT = """\
+data:
+  synthetic:
+    body: beam
+    truth: {bodies.beam.material.prony.ratio_1: 0.3, bodies.beam.material.prony.time_1: 0.03}
+    noise: 1.0e-6
+    every: 1
+    markers: {tip: [0.159, 0.115], middle: [0.1, 0.115]}
+unknowns:
+  bodies.beam.material.elastic.neo_hookean.youngs_modulus: {bounds: [5.0e4, 5.0e5], scale: log}
+  bodies.beam.material.prony.ratio_1: {bounds: [0.01, 1]}
+  bodies.beam.material.prony.time_1: {bounds: [0.005, 1], scale: log}
+optimizer: {least_squares: {max_iterations: 8}}
+"""
+
+
+def written(folder, text):
+    (folder / "beam.yaml").write_text(text)
+    return folder / "beam.yaml"
+
+
+@pytest.mark.parametrize("frame", ["reference", "updated"])
+def test_the_gradient_through_a_motion(frame, tmp_path):
+    """By the modulus, the ratio and the time, against differences of whole runs."""
+    scene = written(tmp_path, SCENE + GRADIENT)
+    run, agrees = run_gradcheck(scene, [f"world.frame={frame}"], tmp_path / "out", threads=1)
+    assert agrees
+    rows = json.loads((run / "gradcheck.json").read_text())["rows"]
+    assert len(rows) == 4
+    assert max(row["error"] for row in rows) < 1e-8
+
+
+def test_it_swings_stiffer_than_it_rests(tmp_path):
+    """At rest the branch is gone, so the sag is the law's; in a fast motion the beam sinks less."""
+    scene = written(tmp_path, SCENE)
+    none = [f"{PRONY}=null"]
+    sag = {}
+    for name, given in (("with", []), ("without", none)):
+        rest = REST.run(scene, given, tmp_path / "out")
+        sag[name] = read_trajectory(rest / "trajectory.h5").fields["x"][-1][:, 1].min()
+    assert sag["with"] == pytest.approx(sag["without"], abs=1e-9)
+    runs = [run_simulate(scene, given, tmp_path / "out", threads=1) for given in ([], none)]
+    lowest = [read_trajectory(run / "trajectory.h5").fields["x"][:][..., 1].min() for run in runs]
+    assert lowest[0] > lowest[1] + 1e-3
+
+
+def test_a_motion_that_starts_at_equilibrium_stays_there(tmp_path):
+    run = run_simulate(written(tmp_path, "start: equilibrium\n" + SCENE), [], tmp_path / "out", threads=1)
+    x = read_trajectory(run / "trajectory.h5").fields["x"]
+    assert np.abs(x[-1] - x[0]).max() < 1e-8
+
+
+def test_a_fit_finds_the_branch(tmp_path):
+    run = run_sysid(written(tmp_path, SCENE + FIT), [], tmp_path / "out", threads=1)
+    found = result_of(run)["unknowns"]
+    assert found[f"{PRONY}.ratio_1"]["value"] == pytest.approx(0.3, rel=0.02)
+    assert found[f"{PRONY}.time_1"]["value"] == pytest.approx(0.03, rel=0.03)
+    low, high = found[f"{PRONY}.time_1"]["interval"]
+    assert low < 0.03 < high
+
+
+def test_threads_change_no_bit(tmp_path):
+    scene = written(tmp_path, SCENE)
+    one, two = (run_simulate(scene, [], tmp_path / str(n), threads=n) for n in (1, 2))
+    assert_same(one, two)
