@@ -23,12 +23,9 @@ GRAVITY, DENSITY, POISSON = 9.81, 1070.0, 0.45
 SOFT, STIFF, NO_RHYTHM = 1e3, 1e9, 1e5
 """Least and largest Young's modulus that is proposed, and the one if nothing tells it [Pa]."""
 
-DECADE, UNMEASURED = 10.0, 50.0
+MEASURED, GUESSED = 5.0, 50.0
 """Young's modulus is searched up to this factor from its start. It grows with the fourth power of a length, so the
-second factor is for a body whose size is a guess. Viscosity is searched from a hundredth to five times its start."""
-
-LOSS = 0.01
-"""Viscosity times the circular frequency, as a part of Young's modulus, at the start."""
+second factor is for a body whose size is a guess; a stiffer bound needs shorter substeps."""
 
 FRAMES, LATE = 3, 0.03
 """Frames by which the run may begin earlier or later, or the part of a period."""
@@ -79,7 +76,6 @@ class Proposal:
     density: float
     modulus: float
     reach: float
-    viscosity: float
     duration: float
     control_step: float
     start: float
@@ -120,8 +116,8 @@ def propose(seen: Seen, given: Given = NOTHING) -> Proposal:
     return Proposal(
         names=seen.names, places=seen.rest + shift, corner=body.low + shift, size=body.size,
         clamp=(begin, end - begin), world=world, dx=body.dx, gravity=sign * GRAVITY * np.eye(len(world))[down],
-        density=density, modulus=modulus, reach=DECADE if given.size is not None else UNMEASURED,
-        viscosity=nice(LOSS * modulus * (seen.period or 0.2) / (2 * np.pi)), duration=duration, control_step=control,
+        density=density, modulus=modulus, reach=MEASURED if given.size is not None else GUESSED,
+        duration=duration, control_step=control,
         start=seen.start, starts=None if seen.still is None else (
             max(seen.start - doubt, seen.still[1]), seen.start + doubt
         ),
