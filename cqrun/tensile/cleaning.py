@@ -77,8 +77,8 @@ def require_one_test(curve: Curve) -> None:
     if again.any():
         line = curve.line[1:][again][0]
         raise DataError(
-            f"{curve.source}:{line}: the strain starts again here: two materials or specimens in one file? Write each to "
-            "a file of its own; give several specimens of one material together"
+            f"{curve.source}:{line}: the strain starts again here: two materials or specimens in one file? Write each "
+            "to a file of its own; give several specimens of one material together"
         )
 
 
@@ -88,8 +88,8 @@ def _require_signs(curve: Curve) -> None:
         pulled = float(strain.sum()) > 0.0
         signs = ("negative", "positive") if pulled else ("positive", "negative")
         raise DataError(
-            f"{curve.source}: the stress is {signs[0]} where the strain is {signs[1]}: tension has two positive numbers, "
-            "compression two negative ones. If this is a compression test, give --compression"
+            f"{curve.source}: the stress is {signs[0]} where the strain is {signs[1]}: tension has two positive "
+            "numbers, compression two negative ones. If this is a compression test, give --compression"
         )
 
 
@@ -105,9 +105,12 @@ def _without_failure(curve: Curve) -> Curve:
         return curve
     first = int(np.argmax(falls))
     last = int(at_peak[first])
-    there = f"at strain {strain[last]:.3g} (line {curve.line[last]}) the stress falls by {_fall(peak, stress, last):.0%}"
+    after, fall = len(stress) - last - 1, f"{_fall(peak, stress, last):.0%}"
+    there = f"at strain {strain[last]:.3g} (line {curve.line[last]}) the stress falls by {fall}"
     if stress[first:].max() > peak[first]:
-        what = f"{there} and grows again: the specimen slips in its grips; the {len(stress) - last - 1} points after it "
+        what = (
+            f"{there} and grows again: the specimen slips in its grips; the {len(stress) - last - 1} points after it "
+        )
         what += "are not used. Glue or clamp it better, or give --range"
     else:
         what = f"{there}: the specimen fails; {len(stress) - last - 1} points after it removed"

@@ -31,7 +31,7 @@ _TRUE = re.compile(r"\btrue\b|\blog|hencky|cauchy|wahr|vrai")
 _WORDS = (
     ("time", re.compile(r"\btime\b|\bzeit\b|\btemps\b|\btiempo\b|^t$")),
     ("stretch", re.compile(r"stretch|lambda|λ|extension ratio|elongation ratio")),
-    ("stress", re.compile(r"stress|spannung|contrainte|esfuerzo|sigma|σ|piola|\bpk1\b")),
+    ("stress", re.compile(r"stress|spannung|contrainte|esfuerzo|sigma|\u03c3|piola|\bpk1\b")),
     ("strain", re.compile(r"strain|dehnung|d[ée]formation|epsilon|ε|\beps\b|verformung|stauchung")),
     ("force", re.compile(r"force|\bload\b|kraft|fuerza|charge")),
     (

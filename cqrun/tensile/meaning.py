@@ -172,10 +172,12 @@ def _unit_of_strain(
     if largest > SURELY_FRACTION:
         doubt = "which can only be percent" if largest > SURELY_PERCENT else "which may be percent or a fraction"
         raise DataError(
-            f"{table.source}: column {column.label} reaches {largest:.4g} and has no unit, {doubt}: give {option}=% for "
-            f"{largest:.4g} %, or {option}=1 for {100 * largest:.4g} %"
+            f"{table.source}: column {column.label} reaches {largest:.4g} and has no unit, {doubt}: give {option}=% "
+            f"for {largest:.4g} %, or {option}=1 for {100 * largest:.4g} %"
         )
-    remarks.append(f"the strain has no unit; it reaches {largest:.3g} and is read as a fraction ({100 * largest:.3g} %)")
+    remarks.append(
+        f"the strain has no unit; it reaches {largest:.3g} and is read as a fraction ({100 * largest:.3g} %)"
+    )
     return 1.0
 
 

@@ -34,8 +34,12 @@ MODE_WORDS: dict[Mode, re.Pattern[str]] = {
 }
 """What names a mode in a header, a column or a file's name; the first that is found counts."""
 
-_COMPRESSION = re.compile(r"compression test|test\W{0,3}compression|compressive|druckversuch|stauchung|d[ -]?575|iso[ -]?7743")
-_LENGTH = re.compile(r"ga[u]?ge length|grip separation|clamp distance|specimen length|initial length|einspannl|messl|^l0$")
+_COMPRESSION = re.compile(
+    r"compression test|test\W{0,3}compression|compressive|druckversuch|stauchung|d[ -]?575|iso[ -]?7743"
+)
+_LENGTH = re.compile(
+    r"ga[u]?ge length|grip separation|clamp distance|specimen length|initial length|einspannl|messl|^l0$"
+)
 _AREA = re.compile(r"cross-?[ ]?section|area|querschnitt|^[as]0$")
 _THICKNESS, _WIDTH = re.compile(r"thickness|dicke|[ée]paisseur"), re.compile(r"width|breite|largeur")
 _SPECIMEN = re.compile(r"^(material|specimen|sample|probe|specimen name|sample name|material name)$")

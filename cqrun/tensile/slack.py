@@ -1,7 +1,8 @@
 """Slack at the start of a pull (toe): the strain at which the specimen is taut.
 
-Rubber in tension softens from rest, so every tangent near the start meets zero stress at a strain of zero or below. If
-the steepest one meets it at a positive strain, the grips have moved before the specimen was pulled (ASTM D638, annex A1).
+Rubber in tension softens from rest, so every tangent near the start meets zero stress at a strain of zero or below.
+If the steepest one meets it at a positive strain, the grips have moved before the specimen was pulled (ASTM D638, annex
+A1).
 """
 
 from __future__ import annotations

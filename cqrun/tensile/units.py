@@ -58,7 +58,5 @@ def si_value(kind: str, text: str, option: str) -> float:
     times = factor(kind, match[2]) if match else None
     value = float(match[1].replace(",", ".")) if match else 0.0
     if times is None or value <= 0.0:
-        raise UsageError(
-            f"{option} must be a positive {kind} with its unit ({listed(UNITS[kind])}), is '{cut(text)}'"
-        )
+        raise UsageError(f"{option} must be a positive {kind} with its unit ({listed(UNITS[kind])}), is '{cut(text)}'")
     return value * times

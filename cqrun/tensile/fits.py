@@ -1,0 +1,201 @@
+"""Fit a law to curves: many seeded starts, each with the moduli that are best for its other numbers.
+
+A residual is the error of the nominal stress divided by the largest stress of its curve. All points count alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from cqrun.materials.curves import Mode
+from cqrun.plugin.contract import Array
+from cqrun.tensile.curve import Curve
+from cqrun.tensile.laws import Law
+
+STARTS = 6
+"""Starts for each number of a law that is no modulus."""
+
+FEW = 120
+"""So many points of a curve are enough to look for the region of the optimum."""
+
+FINE, COARSE, CAREFUL = 3, 40, 300
+"""The best ends of so many starts are refined; evaluations of a search before that, and of the refinement."""
+
+TRIES = 60
+"""Random values of a law whose stress is not finite at the data are drawn again so many times."""
+
+_FAR = 1e3
+"""The residual where a law has no stress."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A law at its optimum.
+
+    Attributes:
+        law: the law.
+        values: (p,) of its parameters.
+        curves: what it was fitted to.
+        residuals: (n,) of all curves, one after another.
+    """
+
+    law: Law
+    values: Array
+    curves: tuple[Curve, ...]
+    residuals: Array
+
+    @property
+    def rms(self) -> float:
+        """The root mean square of the residuals."""
+        return float(np.sqrt(np.mean(self.residuals**2)))
+
+    @cached_property
+    def parts(self) -> list[slice]:
+        """Where the residuals of each curve are."""
+        ends = np.cumsum([0, *(len(curve.stretch) for curve in self.curves)]).tolist()
+        return [slice(a, b) for a, b in pairwise(ends)]
+
+
+def residuals_of(law: Law, values: Array, curves: Sequence[Curve]) -> Array:
+    """Return the residuals (n,) of a law at all curves; `_FAR` where it has no stress."""
+    errors = [(law.stress(values, curve.mode, curve.stretch) - curve.stress) / curve.largest_stress for curve in curves]
+    every = np.concatenate(errors)
+    return np.where(np.isfinite(every), np.clip(every, -_FAR, _FAR), _FAR)
+
+
+def errors_by_mode(law: Law, values: Array, curves: Sequence[Curve]) -> dict[Mode, float]:
+    """Return the root mean square error of each mode, relative to the largest stress of each curve."""
+    found: dict[Mode, list[Array]] = {}
+    for curve in curves:
+        found.setdefault(curve.mode, []).append(residuals_of(law, values, [curve]))
+    return {mode: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for mode, parts in found.items()}
+
+
+def fit_law(law: Law, curves: Sequence[Curve], near: Array | None = None, seed: int = 0) -> Fit | None:
+    """Return the best fit of a law to curves; None if no start has a finite stress at the data.
+
+    Args:
+        near: values of a fit to similar data; with them the search has few starts of its own.
+        seed: of the starts.
+    """
+    scale = _scale(curves)
+    few = [curve.at(slice(None, None, max(1, len(curve.stretch) // FEW))) for curve in curves]
+    starts = [*([] if near is None else [near]), *_starts(law, few, scale, np.random.default_rng(seed), near is None)]
+    found = [_without_moduli(law, few, start, scale) for start in starts]
+    if not found:
+        return None
+    found.sort(key=lambda end: end[0])
+    ends = (_refined(law, curves, values, scale) for _, values in found[: FINE if near is None else 1])
+    values = _ordered(law, min(ends, key=lambda end: end[0])[1])
+    return Fit(law, values, tuple(curves), residuals_of(law, values, curves))
+
+
+def _scale(curves: Sequence[Curve]) -> float:
+    """Return the size of a modulus [Pa]: the median secant of the curves."""
+    secants = np.concatenate(
+        [curve.stress / np.where(curve.stretch == 1.0, np.nan, curve.stretch - 1.0) for curve in curves]
+    )
+    return float(np.nanmedian(np.abs(secants))) / 3.0 or 1.0
+
+
+def _starts(law: Law, curves: Sequence[Curve], scale: float, rng: np.random.Generator, many: bool) -> Iterator[Array]:
+    """Yield values to start from: random numbers, and the moduli that are best with them."""
+    free = [k for k, parameter in enumerate(law.parameters) if not parameter.is_modulus]
+    for _ in range((STARTS if many else 1) * len(free) or 1):
+        for _ in range(TRIES):
+            values = np.ones(len(law.parameters))
+            for k in free:
+                least = law.parameters[k].least
+                size = np.exp(rng.uniform(np.log(0.3), np.log(12.0 if least is None else 1000.0)))
+                values[k] = least + size if least is not None else size * (1.0 if rng.random() < 0.7 else -1.0)
+            if (values_there := _with_moduli(law, curves, values, scale)) is not None:
+                yield values_there
+                break
+
+
+def _without_moduli(law: Law, curves: Sequence[Curve], values: Array, scale: float) -> tuple[float, Array]:
+    """Return the sum of squares, and the values, where a search over the numbers that are no moduli ends.
+
+    The moduli are at their optimum all the time (variable projection, Golub and Pereyra 1973).
+    """
+    from scipy.optimize import least_squares
+
+    free = [k for k, parameter in enumerate(law.parameters) if not parameter.is_modulus]
+
+    def whole(z: Array) -> Array | None:
+        there = values.copy()
+        there[free] = [law.parameters[k].from_free(x, scale) for k, x in zip(free, z, strict=True)]
+        return _with_moduli(law, curves, there, scale)
+
+    def residuals(z: Array) -> Array:
+        there = whole(z)
+        return np.full(n, _FAR) if there is None else residuals_of(law, there, curves)
+
+    n = sum(len(curve.stretch) for curve in curves)
+    start = np.array([law.parameters[k].to_free(values[k], scale) for k in free])
+    if free:
+        end = least_squares(residuals, start, x_scale="jac", max_nfev=COARSE, ftol=1e-8)
+        start = end.x
+    best = whole(start)
+    best = values if best is None else best
+    return float(np.sum(residuals_of(law, best, curves) ** 2)), best
+
+
+def _with_moduli(law: Law, curves: Sequence[Curve], values: Array, scale: float) -> Array | None:
+    """Return values with the moduli that fit best, in which the stress is linear; None if it is not finite."""
+    moduli = [k for k, parameter in enumerate(law.parameters) if parameter.is_modulus]
+    columns = []
+    for k in moduli:
+        unit = values.copy()
+        unit[moduli] = 1e-9 * scale
+        unit[k] = scale
+        columns.append(np.concatenate([law.stress(unit, c.mode, c.stretch) / c.largest_stress for c in curves]))
+    matrix = np.array(columns).T
+    if not np.isfinite(matrix).all():
+        return None
+    sizes = np.linalg.norm(matrix, axis=0)
+    sizes[sizes == 0.0] = 1.0
+    measured = np.concatenate([c.stress / c.largest_stress for c in curves])
+    best = np.linalg.lstsq(matrix / sizes, measured, rcond=1e-10)[0] / sizes * scale
+    least = np.array(
+        [-np.inf if (low := law.parameters[k].least) is None else low * scale + 1e-3 * scale for k in moduli]
+    )
+    values = values.copy()
+    values[moduli] = np.maximum(best, least)
+    return values
+
+
+def _refined(law: Law, curves: Sequence[Curve], values: Array, scale: float) -> tuple[float, Array]:
+    """Return the sum of squares, and the values, where a search over all parameters ends."""
+    from scipy.optimize import least_squares
+
+    def of_free(free: Array) -> Array:
+        return np.array([p.from_free(x, scale) for p, x in zip(law.parameters, free, strict=True)])
+
+    def residuals(free: Array) -> Array:
+        return residuals_of(law, of_free(free), curves)
+
+    start = np.array([p.to_free(x, scale) for p, x in zip(law.parameters, values, strict=True)])
+    exact = {"x_scale": "jac", "ftol": 1e-13, "xtol": 1e-13}
+    ends = [(float(np.sum(residuals(start) ** 2)), start)]
+    for method in ("trf", "lm"):  # the second ends where the first creeps along a valley
+        if method == "trf" or sum(len(curve.stretch) for curve in curves) >= len(start):
+            end = least_squares(residuals, ends[-1][1], method=method, max_nfev=CAREFUL, **exact)
+            ends.append((float(2.0 * end.cost), end.x))
+    cost, free = min(ends, key=lambda end: end[0])
+    return cost, of_free(free)
+
+
+def _ordered(law: Law, values: Array) -> Array:
+    """Return values with equal terms in one order, by the size of their exponents, so that results compare."""
+    if law.terms < 2 or len(values) % law.terms:
+        return values
+    terms = values.reshape(law.terms, -1)
+    keys = np.array([p.is_modulus for p in law.parameters]).reshape(law.terms, -1)
+    exponents = np.where(keys, 0.0, terms).sum(axis=1)
+    return np.asarray(terms[np.argsort(np.abs(exponents), kind="stable")].ravel())
