@@ -23,8 +23,15 @@ from cqrun.tensile.reading import modes_in
 CLOSE = 0.002
 """A further term of a law has to lower the error by this part of the largest stress."""
 
+GOOD = 0.02
+"""A law fits well if its error is below this part of the largest stress."""
+
 FARTHEST = 1.5
 """Stability is looked for up to this many times the largest stretch, and at least up to 10."""
+
+LEAST_VALUES = 20
+"""Curves of as many points count as so many values in the criterion, although their residuals may count as fewer: those
+of a law that does not fit are alike because of the law, not because the data are."""
 
 EXACT = 1e-9
 """Smaller residuals count as this: data that a law made have no errors."""
@@ -58,6 +65,11 @@ class Judged:
         return self.fit.law
 
     @property
+    def is_determined(self) -> bool:
+        """Whether every parameter has an interval."""
+        return None not in self.certainty.intervals.values()
+
+    @property
     def prediction(self) -> float:
         """The root mean square of the errors of modes that were left out."""
         return float(np.sqrt(np.mean(np.square(list(self.left_out.values()))))) if self.left_out else 0.0
@@ -82,7 +94,7 @@ class Judged:
 def judge(fits: Sequence[Fit], curves: Sequence[Curve]) -> list[Judged]:
     """Return what there is to say of each fitted law."""
     best = min(fits, key=lambda fit: fit.rms)
-    samples = independent_values(best)
+    samples = max(independent_values(best), min(LEAST_VALUES, len(best.residuals)))
     needed = _needed(curves)
     return [
         Judged(
@@ -104,9 +116,14 @@ def one_of_each(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def chosen(laws: Sequence[Judged]) -> Judged:
-    """Return the best law by the criterion, of those that are stable in the tested deformation if there are any."""
+    """Return the best law by the criterion.
+
+    Unstable laws count only if no other is left, and laws whose parameters the data cannot tell apart only if no other
+    fits well: terms that nearly cancel say little of deformations that were not tested.
+    """
     stable = [item for item in laws if not item.unstable_in]
-    return min(stable or laws, key=_by_prediction if len(laws[0].by_mode) == 2 else _by_criterion)
+    sure = [item for item in stable if item.is_determined and item.fit.rms < GOOD]
+    return min(sure or stable or laws, key=_by_prediction if len(laws[0].by_mode) == 2 else _by_criterion)
 
 
 def _by_prediction(item: Judged) -> tuple[float, float]:

@@ -108,12 +108,9 @@ def _without_failure(curve: Curve) -> Curve:
     after, fall = len(stress) - last - 1, f"{_fall(peak, stress, last):.0%}"
     there = f"at strain {strain[last]:.3g} (line {curve.line[last]}) the stress falls by {fall}"
     if stress[first:].max() > peak[first]:
-        what = (
-            f"{there} and grows again: the specimen slips in its grips; the {len(stress) - last - 1} points after it "
-        )
-        what += "are not used. Glue or clamp it better, or give --range"
+        what = f"{there} and grows again: the specimen slips in its grips; the {after} points after it are not used"
     else:
-        what = f"{there}: the specimen fails; {len(stress) - last - 1} points after it removed"
+        what = f"{there}: the specimen fails; {after} points after it removed"
     return curve.at(slice(0, last + 1), what)
 
 

@@ -29,6 +29,10 @@ FINE, COARSE, CAREFUL = 3, 40, 300
 TRIES = 60
 """Random values of a law whose stress is not finite at the data are drawn again so many times."""
 
+RIDGE = 1e-4
+"""Penalty on the moduli in units of the median secant: terms of a law that nearly cancel would grow without end, and
+change the curve by less than its errors."""
+
 _FAR = 1e3
 """The residual where a law has no stress."""
 
@@ -134,8 +138,11 @@ def _without_moduli(law: Law, curves: Sequence[Curve], values: Array, scale: flo
 
     def residuals(z: Array) -> Array:
         there = whole(z)
-        return np.full(n, _FAR) if there is None else residuals_of(law, there, curves)
+        if there is None:
+            return np.full(n + len(moduli), _FAR)
+        return np.concatenate([residuals_of(law, there, curves), RIDGE * there[moduli] / scale])
 
+    moduli = [k for k in range(len(law.parameters)) if k not in free]
     n = sum(len(curve.stretch) for curve in curves)
     start = np.array([law.parameters[k].to_free(values[k], scale) for k in free])
     if free:
@@ -161,7 +168,8 @@ def _with_moduli(law: Law, curves: Sequence[Curve], values: Array, scale: float)
     sizes = np.linalg.norm(matrix, axis=0)
     sizes[sizes == 0.0] = 1.0
     measured = np.concatenate([c.stress / c.largest_stress for c in curves])
-    best = np.linalg.lstsq(matrix / sizes, measured, rcond=1e-10)[0] / sizes * scale
+    rows = np.concatenate([matrix / sizes, np.diag(RIDGE / sizes)])
+    best = np.linalg.lstsq(rows, np.concatenate([measured, np.zeros(len(moduli))]), rcond=None)[0] / sizes * scale
     least = np.array(
         [-np.inf if (low := law.parameters[k].least) is None else low * scale + 1e-3 * scale for k in moduli]
     )
@@ -178,8 +186,10 @@ def _refined(law: Law, curves: Sequence[Curve], values: Array, scale: float) -> 
         return np.array([p.from_free(x, scale) for p, x in zip(law.parameters, free, strict=True)])
 
     def residuals(free: Array) -> Array:
-        return residuals_of(law, of_free(free), curves)
+        values = of_free(free)
+        return np.concatenate([residuals_of(law, values, curves), RIDGE * values[moduli] / scale])
 
+    moduli = [k for k, parameter in enumerate(law.parameters) if parameter.is_modulus]
     start = np.array([p.to_free(x, scale) for p, x in zip(law.parameters, values, strict=True)])
     exact = {"x_scale": "jac", "ftol": 1e-13, "xtol": 1e-13}
     ends = [(float(np.sum(residuals(start) ** 2)), start)]

@@ -9,8 +9,7 @@ import numpy as np
 
 from cqrun.errors import DataError
 from cqrun.materials.curves import MODES, Mode
-from cqrun.plugin.contract import Array
-from cqrun.tensile.choice import Judged, chosen, first_invariant, judge, one_of_each
+from cqrun.tensile.choice import GOOD, Judged, chosen, judge, one_of_each
 from cqrun.tensile.columns import CROSSHEAD
 from cqrun.tensile.curve import Curve
 from cqrun.tensile.fits import Fit, fit_law
@@ -22,9 +21,6 @@ SOFTEST, STIFFEST = 1e4, 5e6
 
 SECANT = 0.5
 """The modulus that is compared with them is a secant up to this strain."""
-
-GOOD = 0.02
-"""Laws that fit better than this part of the largest stress are all possible."""
 
 SLOPES = {"uniaxial": 3.0, "planar": 4.0, "equibiaxial": 6.0}
 """Slope of the nominal stress at rest, in shear moduli."""
@@ -71,9 +67,9 @@ def characterise(
     for law in laws:
         announce(f"fitting {law.title}")
         fit = fit_law(law, curves)
-        if fit is not None and fit.law.moduli(fit.values).shear > 0.0:
+        if fit is not None:
             fits.append(fit)
-    if not fits:
+    if not any(fit.law.moduli(fit.values).shear > 0.0 for fit in fits):
         sources = ", ".join(dict.fromkeys(curve.source for curve in curves))
         raise DataError(f"{sources}: no law fits: a material needs a stress that grows with the strain from rest")
     announce("comparing the laws")
@@ -100,8 +96,8 @@ def _sizes(curves: Sequence[Curve]) -> list[str]:
             "kPa read for MPa, or percent read as a fraction"
         )  # fmt: skip
         found.append(
-            f"{curve.source}: a modulus of about {shown(modulus)} is {size} than any silicone (10 kPa to 5 MPa): are the "
-            f"units right ({meant}), the area, and the length? Give --unit, --area or --gauge if not"
+            f"{curve.source}: a modulus of about {shown(modulus)} is {size} than any silicone (10 kPa to 5 MPa): are "
+            f"the units right ({meant}), the area, and the length? Give --unit, --area or --gauge if not"
         )
     return found
 
@@ -111,12 +107,11 @@ def _weaknesses(best: Judged) -> list[str]:
     found = []
     for mode, stretch in best.unstable_in.items():
         found.append(
-            f"{best.law.name} is unstable in {mode} tests from a stretch of {stretch:.3g}, inside the tested deformation "
-            "(its nominal stress falls), and so is every other law: test with other modes, or a smaller --range"
+            f"{best.law.name} is unstable in {mode} tests from a stretch of {stretch:.3g}, inside the tested "
+            "deformation (its nominal stress falls), and so is every other law: test other modes, or a smaller --range"
         )
-    if best.certainty.findings:
-        found += [f"{best.law.name}: {finding}" for finding in best.certainty.findings]
-    return found
+    worst = [finding for finding in best.certainty.findings if "hard to tell apart" not in finding]
+    return [*found, *(f"{best.law.name}: {finding}" for finding in worst)]
 
 
 def _trust(curves: Sequence[Curve], judged: Sequence[Judged], best: Judged) -> list[str]:
@@ -125,7 +120,9 @@ def _trust(curves: Sequence[Curve], judged: Sequence[Judged], best: Judged) -> l
     for mode in modes:
         own = [curve for curve in curves if curve.mode == mode]
         low, high = min(float(c.stretch.min()) for c in own), max(float(c.stretch.max()) for c in own)
-        ranges.append(f"{mode} to a stretch of {high:.3g}" if low > 0.99 else f"{mode}, stretch {low:.3g} to {high:.3g}")
+        ranges.append(
+            f"{mode} to a stretch of {high:.3g}" if low > 0.99 else f"{mode}, stretch {low:.3g} to {high:.3g}"
+        )
     found = [f"tested: {'; '.join(ranges)}. Beyond this the law is a guess"]
     missing = [mode for mode in MODES if mode not in modes]
     if missing:
@@ -174,9 +171,3 @@ def shown(value: float) -> str:
         if abs(value) >= size:
             return f"{value / size:.4g} {unit}"
     return f"{value:.4g} Pa"
-
-
-def invariant_range(curves: Sequence[Curve]) -> tuple[float, Array]:
-    """Return the largest first invariant, and that of each curve."""
-    own = np.array([float(first_invariant(curve.mode, curve.stretch).max()) for curve in curves])
-    return float(own.max()), own
