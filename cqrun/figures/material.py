@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cqrun.figures.style import COLOURS, GREY, INK, PALE, new_figure, titled
+from cqrun.figures.style import COLOURS, GREY, INK, PALE, log_ticks, new_figure, titled
 from cqrun.materials.curves import MODES, Mode
 from cqrun.tensile.choice import Judged
 from cqrun.tensile.material import Material
@@ -103,6 +103,10 @@ def _stable(axes: Axes, material: Material) -> None:
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     axes.set_xscale("log")
+    ends = [end for item in material.laws for stable in item.stable.values() for end in stable]
+    low, high = max(0.25, min(ends)), max(ends)
+    axes.set_xlim(low, high)
+    log_ticks(axes.xaxis, low, high)
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("stretch")
     titled(axes, "stable range", "bars: uniaxial, planar, equibiaxial; lines: needed for the tests")

@@ -152,10 +152,10 @@ def _whole(curve: Curve) -> Curve:
     if not np.isfinite(curve.stretch).any():
         peak = int(np.nanargmax(np.abs(curve.stress)))
         curve = replace(curve, stretch=np.full(len(curve.stress), 1.1)).at(slice(peak, None))
-    seen = np.isfinite(curve.stretch) & np.isfinite(curve.stress) & np.isfinite(curve.time)
+    seen = np.isfinite(curve.stretch) & np.isfinite(curve.stress) & np.isfinite(np.asarray(curve.time))
     curve = curve.at(seen)
     time: Array = curve.time if curve.time is not None else np.zeros(0)
-    if len(curve.stress) < 8 or np.any(np.diff(time) <= 0.0):
+    if len(curve.stress) < 8 or np.any(time[1:] <= time[:-1]):
         raise DataError(f"{curve.source}: a relaxation test needs eight points or more, at times that grow")
     sign = 1.0 if curve.stress[-1] >= 0.0 else -1.0
     return replace(curve, stress=sign * curve.stress, time=time - time[0])
