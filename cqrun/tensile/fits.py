@@ -33,6 +33,9 @@ RIDGE = 1e-4
 """Penalty on the moduli in units of the median secant: terms of a law that nearly cancel would grow without end, and
 change the curve by less than its errors."""
 
+_LARGEST = 1e100
+"""Stress of a unit modulus, relative to the data, beyond which exponents make no sense."""
+
 _FAR = 1e3
 """The residual where a law has no stress."""
 
@@ -163,7 +166,7 @@ def _with_moduli(law: Law, curves: Sequence[Curve], values: Array, scale: float)
         unit[k] = scale
         columns.append(np.concatenate([law.stress(unit, c.mode, c.stretch) / c.largest_stress for c in curves]))
     matrix = np.array(columns).T
-    if not np.isfinite(matrix).all():
+    if not np.all(np.abs(matrix) < _LARGEST):
         return None
     sizes = np.linalg.norm(matrix, axis=0)
     sizes[sizes == 0.0] = 1.0

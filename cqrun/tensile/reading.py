@@ -44,6 +44,9 @@ _AREA = re.compile(r"cross-?[ ]?section|area|querschnitt|^[as]0$")
 _THICKNESS, _WIDTH = re.compile(r"thickness|dicke|[ée]paisseur"), re.compile(r"width|breite|largeur")
 _SPECIMEN = re.compile(r"^(material|specimen|sample|probe|specimen name|sample name|material name)$")
 
+SMALLEST_STRETCH = 0.2
+"""No test compresses rubber to less than this part of its length."""
+
 APART = 0.02
 """Two statements of an area that differ by more than this part contradict each other."""
 
@@ -139,7 +142,7 @@ def _stretch(table: Table, chosen: Chosen, header: Sequence[Any], given: Given, 
     role = chosen.strain.role
     values = chosen.values[role]
     if role == "stretch":
-        if np.nanmax(values) < 0.5 or np.nanmin(np.abs(values - 1.0)) > 0.5:
+        if np.nanmin(values) < SMALLEST_STRETCH:
             raise DataError(
                 f"{table.source}: column {chosen.strain.label} goes from {np.nanmin(values):.4g} to "
                 f"{np.nanmax(values):.4g}, and a stretch is 1 at rest: if it is a strain, give --column "
