@@ -17,10 +17,12 @@ DATA = Path(__file__).parents[2] / "shared" / "data"
 """Real tests, where they are."""
 
 
-def curve(law: Law, values: Sequence[float], stretch: Array, mode: Any = "uniaxial", noise: float = 0.0) -> Curve:
+def curve(
+    law: Law, values: Sequence[float], stretch: Array, mode: Any = "uniaxial", noise: float = 0.0, seed: int = 5
+) -> Curve:
     """Return the curve of a law, with noise relative to its largest stress."""
     stress = law.stress(np.array(values), mode, stretch)
-    stress = stress + noise * np.abs(stress).max() * np.random.default_rng(5).standard_normal(len(stress))
+    stress = stress + noise * np.abs(stress).max() * np.random.default_rng(seed).standard_normal(len(stress))
     return Curve(f"{mode}.csv", mode, stretch, stress, np.arange(2, len(stretch) + 2))
 
 

@@ -34,8 +34,9 @@ def clean(curve: Curve, given: Given) -> Curve:
     require_points(curve)
     require_one_test(curve)
     _require_signs(curve)
-    curve = _without_failure(curve)
     curve = _first_loading(curve, given)
+    if given.unloading == "cut":
+        curve = _without_failure(curve)
     curve = _taut(curve, given)
     if given.span is not None:
         low, high = given.span
@@ -130,7 +131,7 @@ def _first_loading(curve: Curve, given: Given) -> Curve:
         return curve.at(slice(None), "unloading is kept")
     if _monotonic(strain):
         return curve
-    new = _new(np.maximum(strain, 0.0)) | _new(np.maximum(-strain, 0.0))
+    new = np.where(strain >= 0.0, _new(np.maximum(strain, 0.0)), _new(np.maximum(-strain, 0.0)))
     line = curve.line[~new][0] if not new.all() else 0
     if new.all():
         return curve
@@ -153,8 +154,8 @@ def _new(extent: Array) -> Array:
     noise, largest, unloading = BACK * float(extent.max()), 0.0, False
     new = np.zeros(len(extent), dtype=bool)
     for k, value in enumerate(extent):
-        unloading = value < largest if unloading else value < largest - noise
-        new[k] = not unloading and value > 0.0
+        unloading = value <= largest if unloading else value < largest - noise
+        new[k] = not unloading and (value > 0.0 or largest == 0.0)
         largest = max(largest, float(value))
     return new
 

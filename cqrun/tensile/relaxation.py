@@ -34,6 +34,9 @@ FALLS = 0.01
 SAMPLES = 3.0
 """A relaxation time has to be longer than so many intervals between two points."""
 
+EXACT = 1e-4
+"""Errors below this part of the largest stress are as good as none: the ramp is known at its samples alone."""
+
 BETTER = 10.0
 """A branch has to lower the criterion by so much: errors are not quite independent."""
 
@@ -191,7 +194,7 @@ def _branches(curve: Curve, strain: Array, grid: Array) -> tuple[Array, tuple[Ar
             break
         times, parts, stress = _refined(curve, strain, times, grid)
         n, k = len(stress), 2 * count + 2
-        error = max(float(np.mean((stress - curve.stress / scale) ** 2)), 1e-18)
+        error = max(float(np.mean((stress - curve.stress / scale) ** 2)), EXACT**2)
         criterion = n * np.log(error) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1)
         if parts[0] <= 0.0 or (best is not None and criterion > best[0] - BETTER):
             continue
