@@ -74,7 +74,7 @@ def _stress(axes: Axes, material: Material, mode: Mode, labelled: bool) -> None:
     floor = 1.2 * min(0.0, *(float(c.stress.min()) * MPA for c in own)) - 0.03 * largest
     axes.set_ylim(floor, 1.25 * max(float(c.stress.max()) * MPA for c in own) + 0.03 * largest)
     axes.set_ylabel("nominal stress (MPa)" if labelled else "")
-    titled(axes, mode, "grey points: test; dotted: law unstable; grey: beyond the test" if labelled else "")
+    titled(axes, mode, "dotted: law unstable; grey: beyond the test" if labelled else "")
 
 
 def _errors(axes: Axes, material: Material, mode: Mode) -> None:
@@ -109,7 +109,7 @@ def _stable(axes: Axes, material: Material) -> None:
     log_ticks(axes.xaxis, low, high)
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("stretch")
-    titled(axes, "stable range", "bars: uniaxial, planar, equibiaxial; lines: needed for the tests")
+    titled(axes, "stable range", "uniaxial, planar, equibiaxial; lines: tested")
 
 
 def _legend(axes: Axes, material: Material) -> None:

@@ -11,13 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import ValidationError
 
 from cqrun.materials.curves import MODES, Mode, stable_range
 from cqrun.plugin.contract import Array
 from cqrun.tensile.certainty import Certainty, certainty_of, independent_values
 from cqrun.tensile.curve import Curve
 from cqrun.tensile.fits import Fit, errors_by_mode, fit_law
-from cqrun.tensile.laws import Law
+from cqrun.tensile.laws import NU, Law
 from cqrun.tensile.reading import modes_in
 
 CLOSE = 0.002
@@ -63,6 +64,15 @@ class Judged:
     def law(self) -> Law:
         """The law."""
         return self.fit.law
+
+    @property
+    def is_allowed(self) -> bool:
+        """Whether a scene may have these parameters."""
+        try:
+            self.law.made(self.fit.values, NU)
+        except ValidationError:
+            return False
+        return True
 
     @property
     def is_determined(self) -> bool:
@@ -121,6 +131,7 @@ def chosen(laws: Sequence[Judged]) -> Judged:
     Unstable laws count only if no other is left, and laws whose parameters the data cannot tell apart only if no other
     fits well: terms that nearly cancel say little of deformations that were not tested.
     """
+    laws = [item for item in laws if item.is_allowed] or laws
     stable = [item for item in laws if not item.unstable_in]
     sure = [item for item in stable if item.is_determined and item.fit.rms < GOOD]
     return min(sure or stable or laws, key=_by_prediction if len(laws[0].by_mode) == 2 else _by_criterion)

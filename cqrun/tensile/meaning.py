@@ -160,6 +160,12 @@ def _unit_of_strain(
         times = factor("strain", unit)
         if times is None:
             raise UsageError(f"{table.source}: '{unit}' is no unit of a strain; legal: {listed(UNITS['strain'])}")
+        reached = times * float(np.nanmax(np.abs(read[column.place]), initial=0.0))
+        if reached > SURELY_PERCENT and column.role not in units:
+            raise DataError(
+                f"{table.source}: column {column.label} has the unit '{unit}' and reaches {100 * reached:.4g} %: if it "
+                f"is in percent, give --unit {column.role}=%; if not, --unit {column.role}=1"
+            )
         return times
     if column.role == "stretch":
         return 1.0

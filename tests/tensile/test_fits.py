@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from made_pulls import curve, powers
@@ -152,6 +154,17 @@ def test_the_size_of_the_modulus_tells_wrong_units(factor, words):
     material = characterise([curve(law, [factor * 4e5], STRETCH, noise=0.002)], [law], 0.49)
     assert any(words in text for text in material.warnings)
     assert not characterise([curve(law, [4e5], STRETCH, noise=0.002)], [law], 0.49).warnings
+
+
+def test_a_law_that_no_scene_may_have_is_not_chosen():
+    yeoh, gent = law_of("yeoh"), law_of("gent")
+    data = curve(yeoh, TRUE["yeoh"], STRETCH, noise=0.002)
+    judged = judge([fit_law(yeoh, [data]), fit_law(gent, [data])], [data])
+    assert chosen(judged).law.name == "yeoh"
+    negative = dataclasses.replace(judged[0].fit, values=np.array([-1.0, 0.0, 0.0]))
+    refused = dataclasses.replace(judged[0], fit=negative)
+    assert not refused.is_allowed
+    assert chosen([refused, judged[1]]).law.name == "gent"
 
 
 def test_what_was_not_tested_is_said():

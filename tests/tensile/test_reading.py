@@ -126,6 +126,10 @@ ASKED = {
         {"Strain": 400 * STRAIN, "Stress (MPa)": STRESS}, {"header": TENSILE},
         "can only be percent: give --unit strain=%",
     ),
+    "percent under the unit of a fraction": (
+        {"Strain (mm/mm)": 400 * STRAIN, "Stress (MPa)": STRESS}, {"header": TENSILE},
+        "reaches 6e+04 %: if it is in percent, give --unit strain=%",
+    ),
     "perhaps percent": (
         {"Strain": 10 * STRAIN, "Stress (MPa)": STRESS}, {"header": TENSILE}, "may be percent or a fraction",
     ),
