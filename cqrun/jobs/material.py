@@ -13,7 +13,7 @@ from cqrun.tensile.cleaning import clean
 from cqrun.tensile.curve import Curve, Given
 from cqrun.tensile.laws import NU, all_laws
 from cqrun.tensile.material import Material, characterise
-from cqrun.tensile.outputs import JSON, YAML, as_json, fragment_text, table
+from cqrun.tensile.outputs import JSON, YAML, about_long_term, as_json, fragment_text, table
 from cqrun.tensile.reading import read_curves
 from cqrun.tensile.relaxation import Relaxation, choose_relaxation, fit_relaxation
 
@@ -33,12 +33,7 @@ class Tested:
             lines += ["", *relaxation.sentences()]
         if len(self.relaxations) > 1:
             lines.append(f"{YAML} has the branches of {self.relaxations[0].curve.source}")
-        if self.material is not None and self.relaxations:
-            g = float(self.relaxations[0].prony.moduli.sum())
-            lines.append(
-                "the moduli of a scene with `prony` are the long-term ones; those of the pull test are between them "
-                f"and {1 + g:.3g} times as much: a slow pull test, or a fit of the scene to it, tells"
-            )
+        lines += about_long_term(self.material, self.relaxations)
         return lines
 
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from cqrun.materials.curves import Mode
 from cqrun.plugin.contract import Array
 
@@ -74,6 +76,13 @@ class Curve:
     strain_by: str = ""
     specimen: str = ""
     remarks: tuple[str, ...] = ()
+
+    @property
+    def duration(self) -> float | None:
+        """How long the test took [s], if the file says."""
+        if self.time is None or not np.isfinite(self.time).all() or np.any(np.diff(self.time) <= 0.0):
+            return None
+        return float(np.ptp(self.time))
 
     @property
     def largest_stress(self) -> float:

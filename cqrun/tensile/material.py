@@ -136,18 +136,12 @@ def _trust(curves: Sequence[Curve], judged: Sequence[Judged], best: Judged) -> l
             f"uncertain by more than their intervals (the smallest strain is {first:.2%})"
         )
     found.append("the first loading counts: after a large stretch, filled rubber is softer below it (Mullins effect)")
-    rates = [rate for curve in curves if (rate := _rate(curve)) is not None]
+    rates = [float(np.ptp(curve.stretch)) / time for curve in curves if (time := curve.duration) is not None]
     if rates:
         found.append(f"pulled at about {np.median(rates):.2g} 1/s: slower loads find it softer, faster ones stiffer")
     if len({curve.source for curve in curves}) == 1:
         found.append("one specimen or one file: batches and curing differ by tens of percent, which no interval shows")
     return found
-
-
-def _rate(curve: Curve) -> float | None:
-    if curve.time is None or not np.isfinite(curve.time).all() or np.any(np.diff(curve.time) <= 0.0):
-        return None
-    return float(np.ptp(curve.stretch) / np.ptp(curve.time))
 
 
 def _spread(judged: Sequence[Judged], best: Judged, missing: Sequence[Mode]) -> str:

@@ -6,6 +6,8 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from cqrun.materials.curves import MODES, Mode
 from cqrun.scene.document import write
 from cqrun.tensile.choice import Judged
@@ -25,12 +27,39 @@ DIGITS = 10
 SHORT: dict[Mode, str] = {"uniaxial": "uni.", "planar": "planar", "equibiaxial": "equi."}
 
 
+def long_term(material: Material, relaxations: Sequence[Relaxation]) -> float | None:
+    """Return the long-term moduli divided by those of the pull tests; None if it is not known how long they took."""
+    times = [curve.duration for curve in material.curves]
+    known = [time for time in times if time is not None]
+    if not known or len(known) < len(times):
+        return None
+    return 1.0 / relaxations[0].prony.stiffening(float(np.median(known)))
+
+
+def about_long_term(material: Material | None, relaxations: Sequence[Relaxation]) -> list[str]:
+    """Return a sentence on the moduli of a material with branches."""
+    if material is None or not relaxations:
+        return []
+    factor, g = long_term(material, relaxations), float(relaxations[0].prony.moduli.sum())
+    if factor is not None:
+        return [f"with `prony` the moduli are the long-term ones: those of the pull test times {factor:.3g}"]
+    return [
+        f"with `prony` the moduli should be the long-term ones, {1 / (1 + g):.3g} to 1 times those of the pull test: "
+        "its file does not say how long it took, so they are NOT converted"
+    ]
+
+
 def fragment(material: Material | None, relaxations: Sequence[Relaxation] = ()) -> dict[str, Any]:
-    """Return the part of a scene's material that tests give."""
+    """Return the part of a scene's material that tests give.
+
+    With relaxation, the law's moduli are long-term ones, as the term `prony` wants them.
+    """
     found: dict[str, Any] = {}
     if material is not None:
         best = material.chosen
-        fields = best.law.made(best.fit.values, material.ratio)
+        factor = (long_term(material, relaxations) or 1.0) if relaxations else 1.0
+        moduli = np.array([factor if parameter.is_modulus else 1.0 for parameter in best.law.parameters])
+        fields = best.law.made(best.fit.values * moduli, material.ratio)
         found["elastic"] = {best.law.name: {name: float(f"{x:.{DIGITS}g}") for name, x in fields.items()}}
     if relaxations:
         found |= relaxations[0].prony.fragment()
@@ -65,6 +94,7 @@ def fragment_text(material: Material | None, relaxations: Sequence[Relaxation] =
         lines += [f"Trust: {text}" for text in material.trust]
     for relaxation in relaxations:
         lines += relaxation.sentences()
+    lines += about_long_term(material, relaxations)
     comments = [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
     return "".join(f"# {line}\n" for line in comments) + write(fragment(material, relaxations))
 

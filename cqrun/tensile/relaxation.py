@@ -53,6 +53,11 @@ class Prony:
     moduli: Array
     times: Array
 
+    def stiffening(self, duration: float) -> float:
+        """Return the mean modulus of a pull at a constant rate over a duration [s], relative to the long-term one."""
+        x = duration / self.times
+        return 1.0 + float(self.moduli @ (-np.expm1(-x) / x))
+
     def fragment(self) -> dict[str, Any]:
         """Return the term of a scene's material."""
         return {

@@ -107,7 +107,25 @@ def test_a_relaxation_test_gives_branches(tmp_path):
     assert found.keys() == {"elastic", "prony"}
     assert found["prony"]["moduli"] == pytest.approx([0.3, 0.1], rel=0.01)
     assert found["prony"]["times"] == pytest.approx([4.0, 40.0], rel=0.01)
-    assert "the moduli of a scene with `prony` are the long-term ones" in done.output
+    assert "they are NOT converted" in done.output
+
+
+def test_with_branches_the_moduli_are_the_long_term_ones(tmp_path):
+    """A silicone of 300 kPa in the end, with one branch of g = 0.5 and t = 10 s, pulled in 20 s."""
+    time = np.linspace(0.0, 200.0, 800)
+    held = 0.1 * (1.0 + 0.5 * np.exp(-time / 10.0))
+    columns = {"Time (s)": time, "Strain (%)": np.full(800, 50.0), "Stress (MPa)": held}
+    relaxation = write(tmp_path, columns, header=["Tensile relaxation"], name="relax.csv")
+    strain, seconds = np.linspace(0.0, 1.0, 60), np.linspace(0.0, 20.0, 60)
+    factor = 1.0 + 0.5 * (1.0 - np.exp(-2.0)) / 2.0  # its mean over the pull
+    columns = {"Time (s)": seconds, "Strain (%)": 100 * strain, "Stress (MPa)": factor * silicone(strain) * 1e-6}
+    pulled = write(tmp_path, columns, header=["Tensile test"])
+    made = make_material([pulled, relaxation], laws=["neo_hookean"], out=tmp_path)
+    assert made.material.chosen.fit.values == pytest.approx([factor * 3e5], rel=1e-4)  # E is 2.9998 mu, not 3
+    assert read_fragment(tmp_path / "material.yaml")["elastic"]["neo_hookean"]["youngs_modulus"] == pytest.approx(
+        3e5, rel=1e-3
+    )
+    assert f"those of the pull test times {1 / factor:.3g}" in " ".join(made.lines())
 
 
 BAD: dict[str, Sequence[str]] = {
