@@ -57,7 +57,7 @@ class Parameter:
 
     def from_free(self, free: Array, scale: float) -> Array:
         """Return the parameter for the number that an optimizer moves."""
-        value = free if self.least is None else self.least + np.exp(np.clip(free, -50.0, 50.0))
+        value = free if self.least is None else self.least + np.exp(np.clip(free, -20.0, 20.0))
         return np.asarray(value * (scale if self.is_modulus else 1.0))
 
 
