@@ -6,7 +6,8 @@ DATA has `tensile/` (six silicones) and `rubber/` (Meunier 2008, Treloar 1944).
 
 The independent optimum does not use the package's laws or its search. Stresses are the textbook's, by invariants or
 stretches. In moduli they are linear, so linear least squares gives their optimum. Numbers that are no moduli are found
-by differential evolution (Ogden), or by trying 4,000 values and refining the best (Gent, Arruda and Boyce).
+by differential evolution (Ogden, with mu_k alpha_k > 0), or by trying 4,000 values and refining the best (Gent, Arruda
+and Boyce).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import differential_evolution, minimize_scalar
+from scipy.optimize import differential_evolution, minimize_scalar, nnls
 
 from cqrun.materials.curves import MODES
 from cqrun.store.atomic import write_table
@@ -78,6 +79,9 @@ def best_rms(law: str, curves: Sequence[Curve], free: Sequence[float]) -> float:
     sizes = np.linalg.norm(matrix, axis=0)
     if not np.isfinite(matrix).all() or not sizes.all():
         return 1e3
+    if law == "ogden":  # mu_k alpha_k has to be positive
+        matrix = matrix * np.sign(np.asarray(free))
+        return float(nnls(matrix / sizes, measured)[1] / np.sqrt(len(measured)))
     moduli = np.linalg.lstsq(matrix / sizes, measured, rcond=1e-12)[0]
     return float(np.sqrt(np.mean((matrix / sizes @ moduli - measured) ** 2)))
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from cqrun.materials.rubber import Rubber, Shape, register_rubber
-from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.contract import Array
 from cqrun.tensile.curve import Curve
-from cqrun.tensile.laws import Law, laws_of
+from cqrun.tensile.laws import Law, all_laws
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 """Real tests, where they are."""
@@ -54,51 +53,6 @@ def pull(folder: Path, strain: Array | None = None, stress: Array | None = None,
     return write(folder, columns, header=["Standard;ASTM D412"], **options)
 
 
-class TermsKernel(NamedTuple):
-    """Rows mu_1, alpha_1, ..., and nu."""
-
-    theta: Array
-    rows: tuple[int, ...]
-    by_ratio: int
-
-
-class Terms(Rubber):
-    """A law of powers of the stretches with one or two terms, whose fields are numbered."""
-
-    name: ClassVar[str] = "powers"
-    kernel: ClassVar[Any] = TermsKernel
-    mu_1: float = quantity("Pa", "First modulus", differentiable=True)
-    alpha_1: float = quantity("1", "First power", differentiable=True)
-    mu_2: float | None = quantity("Pa", "Second modulus", differentiable=True, default=None)
-    alpha_2: float | None = quantity("1", "Second power", differentiable=True, default=None)
-
-    @property
-    def own(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The fields that are given."""
-        return tuple(n for n in ("mu_1", "alpha_1", "mu_2", "alpha_2") if getattr(self, n) is not None)
-
-
-def _stress(term: Any, theta: Any, F: Any) -> Any:
-    """Return tau of a deformation along the axes."""
-    size, zero = (F[0] * F[4] * F[8]) ** (-1 / 3), 0.0 * F[0]
-    total = [zero, zero, zero]
-    for k in range(0, len(theta) - 1, 2):
-        powers = [(l * size) ** theta[k + 1] for l in (F[0], F[4], F[8])]  # noqa: E741
-        total = [t + theta[k] * (p - sum(powers) / 3) for t, p in zip(total, powers, strict=True)]
-    return (total[0], zero, zero, zero, total[1], zero, zero, zero, total[2])
-
-
-def _shear(theta: Any) -> Any:
-    return sum(theta[k] * theta[k + 1] for k in range(0, len(theta) - 1, 2)) / 2
-
-
-def _unused(*values: Any) -> Any:
-    raise NotImplementedError
-
-
-register_rubber(TermsKernel, Shape(_stress, _unused, _unused, _unused, _shear, _unused))
-
-
-def powers() -> list[Law]:
-    """Return the law of powers with one term, and with two."""
-    return list(laws_of(Terms))
+def ogden() -> list[Law]:
+    """Return Ogden's law with one, two and three terms."""
+    return all_laws(["ogden"])

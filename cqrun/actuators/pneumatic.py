@@ -10,6 +10,7 @@ from pydantic import Field
 from cqrun.actuators import muscle, pressure
 from cqrun.actuators.actuator import DirectedStress
 from cqrun.explain import Loc
+from cqrun.numerics.symmetric import symmetric_rows
 from cqrun.plugin.contract import Array, quantity
 from cqrun.plugin.registry import plugin
 
@@ -61,4 +62,4 @@ class Pneumatic(DirectedStress):
 
     def constants(self, x: Array) -> Array:
         """Return the pressure (1,), or S as rows (D (D + 1) / 2,), at activation and strength 1."""
-        return np.ones(1) if self.law == "pressure" else -muscle.symmetric_rows(self.direction(x.shape[1]))
+        return np.ones(1) if self.law == "pressure" else -symmetric_rows(self.direction(x.shape[1]))

@@ -16,12 +16,12 @@ def fields_of(spec: Any, dim: int) -> tuple[StateField, ...]:
 
 
 def remembering(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield the key path and the name of every material term with a history."""
+    """Yield the key path and the name of every material term whose history never fades, so that it has no rest."""
     for body, spec in scene.bodies.items():
         elastic = spec.material.elastic
         own = {f"elastic.{elastic.name}": elastic.value, **spec.material.terms}
         for key, term in own.items():
-            if fields_of(term, scene.dim):
+            if fields_of(term, scene.dim) and not term.relaxes:  # type: ignore[attr-defined]  # a term, by its kind
                 yield f"bodies.{body}.material.{key}", term.name
 
 

@@ -15,6 +15,7 @@ from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_frame import frame_problems
 from cqrun.build.check_grid import grid_warnings
+from cqrun.build.check_material import material_warnings, too_coarse
 from cqrun.build.check_routes import route_warnings
 from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.conditions import all_conditions
@@ -104,9 +105,9 @@ def build(scene: Scene) -> Built:
             bounds += _possible(scene, _limits(scene, particles, assembly, truth))
         warnings += _check_substeps(scene, bounds) or _check_corner(scene, limits)
     require_possible_plan(scene, bounds)
-    warnings += _too_slow(scene, assembly)
+    warnings += [*_too_slow(scene, assembly), *material_warnings(scene)]
     conditions = all_conditions(scene)
-    if problems := frame_problems(scene, particles, conditions):
+    if problems := [*frame_problems(scene, particles, conditions), *too_coarse(scene)]:
         raise SceneError(problems)
     surface, obstacles, meeting, conditions = contact_parts(scene, particles, assembly, conditions)
     rasters = {name: rasterised(body, scene.world.dx) for name, body in scene.bodies.items()}
@@ -205,7 +206,8 @@ def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[Gro
         active = dict.fromkeys(part.model.kernel for part in parts if part.spec.body in names)
         history = tuple(tuple(field.name for field in fields_of(spec, scene.dim)) for spec in specs)
         shear, wave = tuple(spec.shear_modulus for spec in specs), tuple(spec.wave_modulus for spec in specs)
-        groups.append(GroupModel(tuple(indices), makers, tuple(active), history, shear, wave))
+        lasting = tuple(name for spec, own in zip(specs, history, strict=True) for name in own if not spec.relaxes)
+        groups.append(GroupModel(tuple(indices), makers, tuple(active), history, shear, wave, lasting))
     return tuple(groups)
 
 

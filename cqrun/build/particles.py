@@ -84,7 +84,7 @@ def stress_key(scene: Scene, body: str) -> tuple[Any, ...]:
     material = scene.bodies[body].material
     terms = {material.elastic.name: material.elastic.value, **material.terms}
     return tuple(
-        (name, tuple((k, v) for k, v in term.model_dump().items() if k not in term.parameters))  # type: ignore[attr-defined]
+        (name, tuple((k, repr(v)) for k, v in term.model_dump().items() if k not in term.parameters))  # type: ignore[attr-defined]
         for name, term in terms.items()
     )
 

@@ -25,12 +25,15 @@ def plot(
         typer.Option(
             "--show",
             metavar="TERM",
-            help="Quantity to compare: loss (the default), a term of the objective, a constraint, violation or kkt.",
+            help="Quantity to compare: loss (the default), a term of the objective, a constraint, violation or kkt; "
+            "of simulations and equilibria a quantity that they measure (the default is all).",
         ),
     ] = None,
     allow_plugins: AllowPlugins = False,
 ) -> None:
     """Draw convergence and fit of a run into its figures/, or compare several runs, as PNG and PDF.
+
+    Of simulations and equilibria, the picture has a line for each run in a panel for each quantity that they measure.
 
     Runs need not be finished. Three or more runs that differ only in their seeds are drawn as their mean with its 90 %
     interval; on a logarithmic axis it is the geometric mean.

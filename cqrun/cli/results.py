@@ -107,10 +107,12 @@ def draw_and_print_resolution(study: Path, succeeded: bool, quiet: bool, allow_p
 def draw_and_print_sweep(study: Path, succeeded: bool, quiet: bool, allow_plugins: bool, show: Sequence[str]) -> None:
     """Draw and print a sweep; exit with 1 if a run failed. Raises as `draw_and_print_run`, and UsageError by `show`."""
     from cqrun.cli.progress import reporting
-    from cqrun.jobs.studies.sweep import sweep_lines
+    from cqrun.jobs.studies.sweep import require_found, sweep_lines
+    from cqrun.store.study import read_sweep
 
     stopped = f"stopped while the picture was drawn; the runs are finished, and the numbers are in {study}"
     try:
+        require_found(read_sweep(study), show)
         if pictures_wanted():
             with reporting(quiet, "drawing the sweep", stopped):
                 from cqrun.figures.sweep import draw_sweep
@@ -118,7 +120,7 @@ def draw_and_print_sweep(study: Path, succeeded: bool, quiet: bool, allow_plugin
                 _draw(lambda: draw_sweep(study, show), f"the numbers are in {study}")
         _report(study, None, quiet, allow_plugins)
     finally:
-        _print_study(sweep_lines(study), study)
+        _print_study(sweep_lines(study, show), study)
     if not succeeded:
         raise typer.Exit(1)
 

@@ -33,7 +33,7 @@ JobName = Annotated[
 ]
 Show = Annotated[
     list[str] | None,
-    typer.Option("--show", metavar="NUMBER", help="Column of the table that the picture shows (repeatable)."),
+    typer.Option("--show", metavar="NUMBER", help="Number that the picture and the table show (repeatable)."),
 ]
 
 

@@ -1,4 +1,4 @@
-"""bodies.png: the bodies at the first, the middle and the last frame, coloured by displacement."""
+"""bodies.png: the bodies at the first, the middle and the last frame, in the colours of the film."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cqrun.errors import UsageError
-from cqrun.figures.dots import COVER, COVER_3D, Dots, add_dots, far_to_near
+from cqrun.figures.colours import colours
+from cqrun.figures.dots import COVER_3D, Dots, OutlinedDots, add_dots, far_to_near
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.run_data import TRAJECTORY, RunData
 from cqrun.figures.scenery import boundary_section, frame_axes, goals, plot_boundaries, plot_goals, window_with_goals
-from cqrun.figures.style import AMOUNT_MAP, GREY, PALE, new_figure
+from cqrun.figures.style import GREY, new_figure
 from cqrun.figures.views import View, of_equal_width, views
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
@@ -37,16 +38,16 @@ class Snapshot:
     """The particles at one time.
 
     Attributes:
+        frame: number of the frame.
         time: time of the frame [s].
         x: positions (N, D) [m].
-        moved: length of the displacement since the first frame (N,) [m].
         dots: the dots that fill the bodies.
         provenance: attributes of the trajectory, with the goals and courses of this run.
     """
 
+    frame: int
     time: float
     x: Array
-    moved: Array
     dots: Dots
     provenance: dict[str, Any] = field(default_factory=dict)
 
@@ -66,9 +67,8 @@ def snapshots(frames: Frames, shown: Sequence[int] | None = None) -> list[Snapsh
     rest = frames.read("x", 0)
     dots = Dots.of(rest, frames.bodies).thinned(rest, frames.bodies, MOST_DOTS)
     return [
-        Snapshot(float(frames.time[k]), x, np.sqrt(np.sum((x - rest) ** 2, axis=1)), dots, frames.provenance)
+        Snapshot(k, float(frames.time[k]), frames.read("x", k), dots, frames.provenance)
         for k in (sorted({0, count // 2, count - 1}) if shown is None else shown)
-        for x in [frames.read("x", k)]
     ]
 
 
@@ -96,25 +96,26 @@ def draw_bodies(run: RunData) -> Figure:
     """Return the picture: a column for each frame, a row for each view."""
     with run.frames() as frames:
         shots, complete = snapshots(frames), frames.complete
+        scheme = colours(None, run, frames)[1]
+        shades = [scheme.rgb(shot.frame) for shot in shots]
     x = np.stack([shot.x for shot in shots])
     looks = views(run.scene, x)
     windows = of_equal_width([window_of(run.scene, shots, look) for look in looks])
     tall = [PANEL * float(np.clip((w[1, 1] - w[0, 1]) / (w[1, 0] - w[0, 0]), 0.25, 2.2)) for w in windows]
     figure = new_figure(PANEL * len(shots) + 1.3, sum(tall) + 0.35 * len(looks) + 0.75)
     panels = figure.subplots(len(looks), len(shots), squeeze=False, height_ratios=tall)
-    largest = max(float(shot.moved.max()) for shot in shots)
     unit = length_unit(float(np.max(windows[0])))
     for row, (look, corners) in enumerate(zip(looks, windows, strict=True)):
-        for axes, shot in zip(panels[row], shots, strict=True):
-            dots = plot_body(axes, run.scene, shot, look, corners, unit, largest)
+        for axes, shot, rgb in zip(panels[row], shots, shades, strict=True):
+            plot_body(axes, run.scene, shot, look, corners, unit, rgb)
             axes.tick_params(labelleft=axes is panels[row, 0])
             if axes is not panels[row, 0]:
                 axes.set_ylabel("")
             if row == 0:
                 axes.set_title(title_of(run, shot))
-    colours = figure.colorbar(dots, ax=panels, shrink=0.85, pad=0.015, aspect=28)
-    colours.set_label(f"displacement ({unit.name})")
-    colours.outline.set_visible(False)
+    bar = figure.colorbar(scheme.scale(), ax=panels, shrink=0.85, pad=0.015, aspect=28, extend=scheme.extend)
+    bar.set_label(scheme.label)
+    bar.outline.set_visible(False)
     name = run.name if complete else f"{run.name}: not complete yet"
     figure.suptitle(name, fontsize=9, color=GREY, x=0.995, ha="right")
     return figure
@@ -133,10 +134,11 @@ def plot_body(
     look: View,
     corners: Array,
     unit: Unit,
-    largest: float,
-    shown: tuple[Array, float, float] | None = None,
+    rgb: Array,
 ) -> EllipseCollection:
-    """Draw particles as dots that cover the body, the far ones first, with the boundaries.
+    """Draw particles as dots that cover the body, with the boundaries; return the dots.
+
+    In 2D, bodies have a darker line around them. In 3D, far dots are drawn first.
 
     Args:
         axes: axes to draw in.
@@ -145,23 +147,20 @@ def plot_body(
         look: the view.
         corners: window to show (2, 2) [m].
         unit: unit of lengths.
-        largest: displacement at the end of the colour map [m].
-        shown: values that colour the particles instead of their displacement (N,), pale where NaN, and both ends of the
-            colour map.
+        rgb: colours of the particles (N, 3) in 0 to 1.
     """
-    from matplotlib import colormaps
-
-    x = shot.dots.positions(shot.x)
-    order = far_to_near(x, look)
+    x, colours_of_dots = shot.dots.positions(shot.x), rgb[shot.dots.source]
     if look.names:
         plot_boundaries(axes, boundary_section(scene, look, corners, shot.x.mean(axis=0)), unit.factor)
-    size = unit.factor * shot.dots.size[order]
-    dots = add_dots(axes, size, edge=0.15 if scene.dim == 3 else 0.0, cover=COVER_3D if scene.dim == 3 else COVER)
-    dots.set_offsets(unit.factor * x[order] @ look.axes.T)
-    dots.set_cmap(colormaps[AMOUNT_MAP].with_extremes(bad=PALE))
-    values, low, high = shown or (unit.factor * shot.moved, 0.0, unit.factor * largest or 1.0)
-    dots.set_array(values[shot.dots.source[order]])
-    dots.set_clim(low, high)
+    if scene.dim == 2:
+        outlined = OutlinedDots(axes, shot.dots, unit.factor)
+        outlined.paint([(x, colours_of_dots)])
+        dots = outlined.collection
+    else:
+        order = far_to_near(x, look)
+        dots = add_dots(axes, unit.factor * shot.dots.size[order], edge=0.15, cover=COVER_3D)
+        dots.set_offsets(unit.factor * x[order] @ look.axes.T)
+        dots.set_facecolor(colours_of_dots[order])
     frame_axes(axes, look, corners, unit)
     plot_goals(axes, goals(scene, shot.provenance), look, unit.factor)
     return dots

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from cqrun.running.unknowns import values_found
 from cqrun.store.frames import Frames
 from cqrun.store.result import values_in
 
+if TYPE_CHECKING:
+    from matplotlib.cm import ScalarMappable
+
 MATERIAL = {
     "stiffness": ("youngs_modulus", "Young's modulus", "Pa"),
     "density": ("density", "density", "kg/m^3"),
@@ -29,6 +33,9 @@ MATERIAL = {
     "weight": ("weight", "share of the actuator's strength", ""),
 }
 """Quantities of the material and of actuators: last name of the key path, label, and unit."""
+
+MOST_RANGED = 48
+"""Frames from which the colour range is taken, at most, evenly spread over the run."""
 
 SHARE = 0.995
 """Share of a frame's particles within the colour range, so that one fast particle does not make all others dark."""
@@ -54,26 +61,44 @@ class Colours:
     beyond: bool = False
 
     def rgb(self, frame: int, paleness: float = 0.0) -> Array:
-        """Return colours (N, 3) in 0 to 1, mixed with white by `paleness`."""
+        """Return the colours of a frame (N, 3) in 0 to 1, mixed with white by `paleness`."""
+        return paleness + (1.0 - paleness) * self.shade(self.values(frame))
+
+    def shade(self, values: Array) -> Array:
+        """Return the colours (N, 3) in 0 to 1 of values (N,)."""
         import matplotlib
         from matplotlib.colors import to_rgb
 
-        values = self.values(frame)
         known = np.isfinite(values)
-        level = np.clip((np.where(known, values, self.low) - self.low) / (self.high - self.low), 0.0, 1.0)
+        span = (self.high - self.low) or 1.0
+        level = np.clip((np.where(known, values, self.low) - self.low) / span, 0.0, 1.0)
         colours = matplotlib.colormaps[self.cmap](level)[:, :3]
         colours[~known] = to_rgb(PASSIVE)
-        return np.asarray(paleness + (1.0 - paleness) * colours)
+        return np.asarray(colours)
+
+    def scale(self) -> ScalarMappable:
+        """Return the colour map with its range, for a colour bar."""
+        import matplotlib
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+
+        return ScalarMappable(Normalize(self.low, self.high), matplotlib.colormaps[self.cmap])
+
+    @property
+    def extend(self) -> str:
+        """Which end of a colour bar has an arrow, because some values are beyond it."""
+        return "max" if self.beyond else "neither"
 
 
-def colours(quantity: str | None, run: RunData, frames: Frames, shown: Sequence[int]) -> tuple[str, Colours]:
+def colours(quantity: str | None, run: RunData, frames: Frames) -> tuple[str, Colours]:
     """Return the quantity (one of `choices.Quantity`) and the colours that show it.
+
+    The colour range is that of the whole run. So a body has the same colours in all pictures of a run.
 
     Args:
         quantity: the quantity; None means activation if actuators have signals, and displacement otherwise.
         run: the run.
         frames: its trajectory.
-        shown: the frames that are drawn, which determine the colour range.
 
     Raises:
         UsageError: the quantity is neither stored nor given by the scene.
@@ -82,6 +107,7 @@ def colours(quantity: str | None, run: RunData, frames: Frames, shown: Sequence[
         quantity = "activation" if _has_activation(run, frames) else "displacement"
     if quantity in MATERIAL:
         return quantity, _of_material(quantity, run, frames)
+    shown = np.unique(np.linspace(0, len(frames) - 1, MOST_RANGED).round().astype(int)).tolist()
     makers = {"activation": _activation, "strain": _strain, "velocity": _velocity}
     return quantity, makers.get(quantity, _displacement)(run, frames, shown)
 

@@ -38,8 +38,8 @@ BEYOND = 100.0
 TIMES = 200
 """Number of points in time at which means are computed."""
 
-MOST_DIFFERENCES = 2
-"""If runs of one scene differ in more values than this, their labels have the hash instead."""
+MOST_DIFFERENCES, MOST_NAMED = 2, 4
+"""If runs of one scene differ in more values than this, their labels have the hash instead; and if each is a line."""
 
 
 @dataclass(frozen=True)
@@ -164,19 +164,35 @@ def _flat(value: Any, path: str = "") -> dict[str, Any]:
     return out
 
 
-def group_labels(names: Sequence[str], scenes: Sequence[dict[str, Any]], hashes: Sequence[str]) -> list[str]:
-    """Return a label for each scene: its name, and its differences from other scenes of that name."""
+def group_labels(
+    names: Sequence[str], scenes: Sequence[dict[str, Any]], hashes: Sequence[str], most: int = MOST_DIFFERENCES
+) -> list[str]:
+    """Return a label for each scene: its name, and its differences from other scenes of that name, or its hash."""
     labels = []
     for name, scene, digest in zip(names, scenes, hashes, strict=True):
         rivals = [other for other, same in zip(scenes, names, strict=True) if same == name]
         differences = _differences(scene, rivals)
         if len(rivals) == 1:
             labels.append(name)
-        elif 0 < len(differences) <= MOST_DIFFERENCES:
+        elif 0 < len(differences) <= most:
             labels.append(f"{name}, {', '.join(differences)}")
         else:
             labels.append(f"{name} {digest}")
     return labels
+
+
+def run_labels(runs: Sequence[RunData]) -> list[str]:
+    """Return a label for each run: its scene, and its differences from other runs of that scene.
+
+    What is measured changes no motion, and the number of substeps follows from other values. So these are named only if
+    runs differ in nothing else.
+    """
+    scenes = [_flat({key: value for key, value in resolve(run.scene).items() if key != "title"}) for run in runs]
+    names, hashes = [run.name for run in runs], [run.path.resolve().name for run in runs]
+    others = [{k: v for k, v in s.items() if k != "time.substeps" and not k.startswith("measure.")} for s in scenes]
+    if len({json.dumps([*each], sort_keys=True) for each in zip(names, others, strict=True)}) == len(runs):
+        scenes = others
+    return group_labels(names, scenes, hashes, most=MOST_NAMED)
 
 
 def _differences(scene: dict[str, Any], rivals: Sequence[dict[str, Any]]) -> list[str]:

@@ -13,11 +13,11 @@ import numpy as np
 from cqrun.build.particles import sample
 from cqrun.build.rest_shape import Geometry
 from cqrun.figures.bodies import MOST_DOTS, PANEL, Snapshot, farthest_frame, plot_body, snapshots, window_of
-from cqrun.figures.colours import MATERIAL, material_of
+from cqrun.figures.colours import MATERIAL, Colours, material_of
 from cqrun.figures.dots import Dots
 from cqrun.figures.quantities import length_unit, shown_unit
 from cqrun.figures.run_data import RunData
-from cqrun.figures.style import COLOURS, GREY, new_figure
+from cqrun.figures.style import AMOUNT_MAP, COLOURS, GREY, new_figure
 from cqrun.figures.views import of_equal_width, room_around, views, window
 from cqrun.plugin.contract import Array
 from cqrun.scene.paths import canonical, shapes_a_body
@@ -63,13 +63,15 @@ def _shape_before(run: RunData) -> dict[str, float]:
 
 def draw_shape(run: RunData) -> Figure:
     """Return the picture of a design with a new shape (`has_new_shape`): before and after."""
+    from matplotlib.colors import to_rgb
+
     with run.frames() as frames:
         (after,) = snapshots(frames, [0])
     particles = sample(run.scene)
     x, _ = Geometry(run.scene, particles).at_rest({path: np.array(v) for path, v in _shape_before(run).items()})
     bodies = {name: particles.of(name) for name in run.scene.bodies}
     fill = Dots.of(x, bodies).thinned(x, bodies, MOST_DOTS)
-    before = Snapshot(0.0, x, np.zeros(len(x)), fill, after.provenance)
+    before = Snapshot(0, 0.0, x, fill, after.provenance)
     both = np.concatenate([before.x, after.x])
     looks = views(run.scene, both)
     windows = of_equal_width([window(both, look, room_around(both, after.dots.size)) for look in looks])
@@ -80,9 +82,7 @@ def draw_shape(run: RunData) -> Figure:
         axes.set_title(title)
     for row, look, corners in zip(panels, looks, windows, strict=True):
         for axes, shot, colour in zip(row, (before, after), (GREY, COLOURS[0]), strict=True):
-            dots = plot_body(axes, run.scene, shot, look, corners, unit, 1.0)
-            dots.set_array(None)
-            dots.set_facecolor(colour)
+            plot_body(axes, run.scene, shot, look, corners, unit, np.tile(to_rgb(colour), (len(shot.x), 1)))
         row[1].tick_params(labelleft=False)
         row[1].set_ylabel("")
     figure.suptitle(run.name, fontsize=9, color=GREY, x=0.995, ha="right")
@@ -104,14 +104,15 @@ def draw_design(run: RunData, shown: dict[str, Array]) -> Figure:
     for row, (name, values) in zip(panels, shown.items(), strict=True):
         label, unit_name = MATERIAL[name][1:]
         scale = shown_unit(unit_name, float(np.nanmax(values)))
-        ends = scale.factor * float(np.nanmin(values)), scale.factor * float(np.nanmax(values))
+        shown_values = scale.factor * values
+        low, high = float(np.nanmin(shown_values)), float(np.nanmax(shown_values))
+        scheme = Colours(scale.label(label), low, high, AMOUNT_MAP, lambda _, values=shown_values: values)  # type: ignore[misc]
         for axes, shot in zip(row, shots, strict=True):
-            colours = (scale.factor * values, *ends)
-            dots = plot_body(axes, run.scene, shot, look, corners, unit, 1.0, colours)
+            plot_body(axes, run.scene, shot, look, corners, unit, scheme.rgb(shot.frame))
         row[1].tick_params(labelleft=False)
         row[1].set_ylabel("")
-        bar = figure.colorbar(dots, ax=row, shrink=0.85, pad=0.015, aspect=20)
-        bar.set_label(scale.label(label))
+        bar = figure.colorbar(scheme.scale(), ax=row, shrink=0.85, pad=0.015, aspect=20)
+        bar.set_label(scheme.label)
         bar.outline.set_visible(False)
     figure.suptitle(run.name, fontsize=9, color=GREY, x=0.995, ha="right")
     return figure

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +30,12 @@ ACROSS = 0.8
 MOST = 6
 """Largest number of dots per particle along a direction in which particles are far apart."""
 
+AROUND_RIM, ONE_SIDED = 20, 0.3
+"""A dot is on the rim of a body if the mean direction to this number of nearest dots is at least this long."""
+
+LINE, DARK = 0.7, 0.55
+"""Width of the line around a body in 2D [points], and its brightness divided by that of the body."""
+
 EVEN, MOSTLY = 0.1, 0.7
 """Particles are on a lattice if, for this share of them, the nearest distance equals that of the nearest particle."""
 
@@ -43,12 +49,14 @@ class Dots:
         size: distance between dots at rest (M,) [m].
         beside: the neighbour of each particle in each direction (N, D); the particle itself if it has none.
         place: position of each dot between its particle and the neighbours (M, D), in parts of that distance.
+        rim: the dots at the edges of bodies in 2D (K,); in 3D, where bodies have no line around them, none.
     """
 
     source: Array
     size: Array
     beside: Array
     place: Array
+    rim: Array = field(default_factory=lambda: np.empty(0, int))
 
     @classmethod
     def of(cls, rest: Array, bodies: Mapping[str, slice]) -> Dots:
@@ -66,7 +74,7 @@ class Dots:
         fallback = float(known.mean()) if known.size else 0.02 * max(float(np.abs(rest).max()), 1e-9)
         size = np.where(np.nan_to_num(size) > 0, size, fallback)
         source, place = _subdivided(counts)
-        return cls(source, size[source], beside, place)
+        return cls(source, size[source], beside, place)._with_rim(rest, bodies)
 
     def positions(self, x: Array) -> Array:
         """Return the positions of the dots (M, D) for particles at x (N, D)."""
@@ -95,7 +103,28 @@ class Dots:
             kept = np.concatenate([part.start + _one_a_cell(at[part], self.size[part], step) for part in parts])
         if len(kept) == len(at):
             return self
-        return replace(self, source=self.source[kept], size=step * self.size[kept], place=self.place[kept])
+        few = replace(self, source=self.source[kept], size=step * self.size[kept], place=self.place[kept])
+        return few._with_rim(rest, bodies)
+
+    def _with_rim(self, rest: Array, bodies: Mapping[str, slice]) -> Dots:
+        """Return these dots with those on the rim of each body marked."""
+        if rest.shape[1] == 3:
+            return self
+        at = self.positions(rest)
+        parts = [np.arange(*np.searchsorted(self.source, (part.start, part.stop))) for part in bodies.values()]
+        return replace(self, rim=np.concatenate([part[_one_sided(at[part])] for part in parts]))
+
+
+def _one_sided(x: Array) -> Array:
+    """Return which of a body's dots at (M, D) have most of their neighbours on one side: (M,) of bool."""
+    from scipy.spatial import cKDTree
+
+    if len(x) <= AROUND_RIM:
+        return np.ones(len(x), bool)
+    near = cKDTree(x).query(x, k=AROUND_RIM + 1)[1][:, 1:]
+    arms = x[near] - x[:, None]
+    directions = arms / np.maximum(np.sqrt(np.sum(arms**2, axis=2, keepdims=True)), 1e-300)
+    return np.asarray(np.sqrt(np.sum(directions.mean(axis=1) ** 2, axis=1)) >= ONE_SIDED)
 
 
 def _one_a_cell(at: Array, size: Array, step: int) -> Array:
@@ -166,6 +195,35 @@ def add_dots(axes: Axes, size: Array, *, cover: float = COVER, edge: float = 0.0
     )  # fmt: skip
     axes.add_collection(dots)
     return dots
+
+
+class OutlinedDots:
+    """Dots of bodies in 2D with a darker line around each body, for one or several instants in one picture.
+
+    The line is a second, larger dot below each dot on the rim.
+
+    Args:
+        axes: axes to draw in.
+        dots: the dots.
+        factor: a metre in the unit of the axes.
+        layers: number of instants.
+
+    Attributes:
+        collection: what is added to the axes.
+    """
+
+    def __init__(self, axes: Axes, dots: Dots, factor: float, layers: int = 1) -> None:
+        self._order, self._factor = np.concatenate([dots.rim, np.arange(len(dots.size))]), factor
+        lines = np.repeat([2.0 * LINE, 0.0], [len(dots.rim), len(dots.size)])
+        self._darkness = np.where(lines > 0.0, DARK, 1.0)[:, None]
+        self.collection = add_dots(axes, factor * np.tile(dots.size[self._order], layers))
+        self.collection.set_linewidth(np.tile(lines, layers).tolist())
+        self.collection.set_edgecolor("face")
+
+    def paint(self, layers: Sequence[tuple[Array, Array]]) -> None:
+        """Show dots at x (M, 2) [m] with colours (M, 3) for each instant, the last on top."""
+        self.collection.set_offsets(self._factor * np.concatenate([x[self._order] for x, _ in layers]))
+        self.collection.set_facecolor(np.concatenate([self._darkness * rgb[self._order] for _, rgb in layers]))
 
 
 def far_to_near(x: Array, look: View) -> Array:

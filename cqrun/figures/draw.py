@@ -15,6 +15,7 @@ from cqrun.figures.convergence import draw_convergence
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.losses import LOSS
 from cqrun.figures.measured import draw_measured, has_measured
+from cqrun.figures.overlay import FORWARD, draw_overlay
 from cqrun.figures.overview import draw_overview
 from cqrun.figures.path import draw_path, has_path
 from cqrun.figures.reactions import draw_reactions, has_reactions
@@ -180,7 +181,8 @@ def draw_several(
         paths: the run directories.
         out: directory of the picture.
         kinds: png, pdf.
-        term: the term of the objective to compare; the loss if None or `loss`.
+        term: the term of the objective to compare; the loss if None or `loss`. Of simulations and equilibria, the
+            measured quantity to compare; all if None.
 
     Raises:
         UsageError: a directory is not a run or has no history yet, or the losses of the runs are of different kinds.
@@ -194,8 +196,9 @@ def draw_several(
     if any(shows_other_runs(base.with_name(f"{base.name}.{kind}"), identity) for kind in kinds):
         base = base.with_name(f"{base.name}_{identity[:8]}")
     make_directory(out)
+    draw = draw_overlay if any(run.job in FORWARD and not run.history for run in runs) else draw_comparison
     with styled():
-        return save(draw_comparison(runs, term), base, kinds, keywords=identity)
+        return save(draw(runs, term), base, kinds, keywords=identity)
 
 
 def fingerprint(runs: Sequence[RunData]) -> str:

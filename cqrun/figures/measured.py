@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from cqrun.explain import listed
 from cqrun.figures.path import TABLE as REST_TABLE
-from cqrun.figures.path import read_table
+from cqrun.figures.path import along_path, read_table
 from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, new_figure
 from cqrun.plugin.contract import Array
-from cqrun.scene.load_path import ACTIVATION
-from cqrun.scene.paths import leaf
 from cqrun.store.measured import TABLE, MeasuredQuantities, Quantity
 
 if TYPE_CHECKING:
@@ -45,7 +41,7 @@ def draw_measured(run: RunData) -> Figure:
     """Draw a panel for each quantity of a run that has some, with a line for each of its components."""
     measured = _measured(run)
     assert measured is not None
-    label, along = _along(run, measured)
+    label, along = measured_along(run, measured)
     shown = list(measured.quantities.items())[:MOST]
     columns = min(ACROSS, len(shown))
     rows = -(-len(shown) // columns)
@@ -73,16 +69,11 @@ def _plot(axes: Axes, name: str, quantity: Quantity, along: Array, marker: str) 
         axes.legend()
 
 
-def _along(run: RunData, measured: MeasuredQuantities) -> tuple[str, Array]:
+def measured_along(run: RunData, measured: MeasuredQuantities) -> tuple[str, Array]:
     """Return what the quantities are drawn against, and its values (T,) or, without the rest shape, (T - 1,)."""
     if not measured.at_rest:
         return "time [s]", measured.time
-    file = run.path / REST_TABLE
-    key = next(iter(run.scene.path), None)
-    if key is None or not file.is_file():
+    if not (run.path / REST_TABLE).is_file():
         return "point", measured.time
-    column = read_table(file).get(key)
-    if column is None or len(column) != len(measured.time) - 1 or not np.isfinite(column).all():
-        return "point", measured.time
-    unit = "1" if key.startswith(ACTIVATION) else leaf(run.scene, key).unit
-    return f"{key} [{unit}]" if unit != "1" else key, column
+    label, along = along_path(run, read_table(run.path / REST_TABLE))
+    return (label, along) if label != "point" and len(along) == len(measured.time) - 1 else ("point", measured.time)

@@ -91,10 +91,12 @@ def _palette(samples: Sequence[Array]) -> Image:
 def _with_palette(picture: Array, palette: Image) -> Image:
     from PIL import Image
 
-    image = Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
-    index = np.array(image)
-    index[(picture == 255).all(axis=2)] = COLOURS - 1  # Pillow would replace white by a nearly white colour
-    image.putdata(index.ravel())
+    index = np.array(Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE))
+    index[(picture[..., 0] & picture[..., 1] & picture[..., 2]) == 255] = (
+        COLOURS - 1
+    )  # Pillow would replace white by a nearly white colour
+    image = Image.fromarray(index)
+    image.putpalette(palette.getpalette() or [])
     return image
 
 

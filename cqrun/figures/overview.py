@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.figures.bodies import farthest_frame, plot_body, snapshots, window_of
+from cqrun.figures.colours import colours
 from cqrun.figures.convergence import plot_loss, plot_unknown, plot_violation, unknown_curves
 from cqrun.figures.losses import loss_curve
 from cqrun.figures.quantities import length_unit
@@ -75,14 +76,18 @@ def _tracks(axes: Axes, run: RunData) -> None:
 def _body(axes: Axes, run: RunData) -> None:
     with run.frames() as frames:
         shots = snapshots(frames, [0, farthest_frame(frames)])
+        scheme = colours(None, run, frames)[1]
+        rgb = scheme.rgb(shots[-1].frame)
     shot = shots[-1]
     look = views(run.scene, np.stack([each.x for each in shots]))[-1]
     corners = window_of(run.scene, shots, look)
     unit = length_unit(float(np.max(np.abs(corners))))
-    dots = plot_body(axes, run.scene, shot, look, corners, unit, float(shot.moved.max()))
+    plot_body(axes, run.scene, shot, look, corners, unit, rgb)
     wide, tall = corners[1] - corners[0]
     place = "bottom" if wide > 1.6 * tall else "right"
-    bar = axes.figure.colorbar(dots, ax=axes, location=place, shrink=0.85, aspect=20, pad=0.04)
+    bar = axes.figure.colorbar(
+        scheme.scale(), ax=axes, location=place, shrink=0.85, aspect=20, pad=0.04, extend=scheme.extend
+    )
     bar.outline.set_visible(False)
-    bar.set_label(unit.label("displacement"))
+    bar.set_label(scheme.label)
     axes.set_title(f"t = {shot.time:.3g} s")

@@ -40,12 +40,8 @@ def has_path(run: RunData) -> bool:
 def draw_path(run: RunData) -> Figure:
     """Draw displacements and reactions against the path."""
     columns, scene = read_table(run.path / TABLE), run.scene
-    key = next(iter(scene.path))
-    along = columns.get(key, columns["point"])
-    unit = "1" if key.startswith(ACTIVATION) else leaf(scene, key).unit
+    label_along, along = along_path(run, columns)
     force, _ = force_units(scene.dim)
-    if unit == "N":
-        unit = force
     moved = {name: 1e3 * size for name, size in _displacements(run, columns).items()}
     forces = {name: _length(columns, f"{name}.force_") for name in scene.boundaries if f"{name}.force_x" in columns}
     panels = [("displacement [mm]", moved), (f"reaction [{force}]", forces)]
@@ -55,10 +51,26 @@ def draw_path(run: RunData) -> Figure:
         axes = figure.add_subplot(1, len(panels), k)
         for name, values in list(lines.items())[:MOST_LINES]:
             axes.plot(along, values, marker=".", label=name)
-        axes.set_xlabel(f"{key} [{unit}]")
+        axes.set_xlabel(label_along)
         axes.set_ylabel(label)
         axes.legend()
     return figure
+
+
+def along_path(run: RunData, columns: dict[str, Array]) -> tuple[str, Array]:
+    """Return what equilibria are drawn against: the first value that the path changes, with its unit, or their numbers.
+
+    Args:
+        run: the run.
+        columns: its table of equilibria, by name (T,).
+    """
+    key = next(iter(run.scene.path), "")
+    if key not in columns or not np.isfinite(columns[key]).all():
+        return "point", columns["point"]
+    unit = "1" if key.startswith(ACTIVATION) else leaf(run.scene, key).unit
+    if unit == "N":
+        unit = force_units(run.scene.dim)[0]
+    return key if unit == "1" else f"{key} [{unit}]", columns[key]
 
 
 def _displacements(run: RunData, columns: dict[str, Array]) -> dict[str, Array]:

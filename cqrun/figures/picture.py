@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cqrun.figures.colours import Colours
-from cqrun.figures.dots import Dots, add_dots
+from cqrun.figures.dots import Dots, OutlinedDots
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.scenery import Goal, boundary_section, frame_axes, plot_boundaries, plot_goals
 from cqrun.figures.solid import SolidBodies
@@ -20,6 +20,7 @@ from cqrun.scene.schema import Scene
 from cqrun.units import Unit
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -82,6 +83,8 @@ class Stage:
 class Picture:
     """The picture; `show` draws a frame and returns its pixels, `close` releases the renderer.
 
+    Axes, ticks, ground and colour bar are drawn once. Only what moves, and what lies on it, is drawn for every frame.
+
     Args:
         stage: the parts that are the same in all pictures.
         layers: number of instants that are shown at once.
@@ -114,11 +117,27 @@ class Picture:
         if not stage.look.names:
             _scale_bar(self.axes, self._corners, self._unit)
         _colour_bar(self.figure, self.axes, stage.colours)
-        self._stamp = self.axes.set_title("", pad=7)
+        self._stamp = self.axes.set_title(" ", pad=7)
         self.figure.text(
             1 - 0.1 / self.figure.get_figwidth(), 1 - 0.1 / self.figure.get_figheight(), stage.name,
             ha="right", va="top", fontsize=8, color=GREY,
         )  # fmt: skip
+        self._moving = self._on_bodies()
+        self._still = self._drawn_once()
+
+    def _on_bodies(self) -> list[Artist]:
+        """Return what is drawn for every frame, the lowest first: the bodies, what covers them, and the title."""
+        axes, lowest = self.axes, self._bodies.artist.get_zorder()
+        others: list[Artist] = [axes.xaxis, axes.yaxis, axes.patch, *(() if axes.axison else axes.spines.values())]
+        covering = [each for each in axes.get_children() if each.get_zorder() >= lowest and each not in others]
+        return sorted(covering, key=lambda artist: artist.get_zorder())
+
+    def _drawn_once(self) -> Any:
+        """Draw what stays as it is, and return its pixels."""
+        for artist in self._moving:
+            artist.set_animated(True)
+        self._canvas.draw()
+        return self._canvas.copy_from_bbox(self.figure.bbox)
 
     def show(self, layers: Sequence[tuple[Array, Array]], stamp: str, frame: int) -> Array:
         """Return the picture (h, w, 3) of uint8, with even h and w.
@@ -137,7 +156,9 @@ class Picture:
         for line, route in zip(self._cables, self.stage.cables, strict=True):
             line.set_data(*(self._unit.factor * layers[-1][0][route] @ self.stage.look.axes.T).T)
         self._stamp.set_text(stamp)
-        self._canvas.draw()
+        self._canvas.restore_region(self._still)
+        for artist in self._moving:
+            self.figure.draw_artist(artist)
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
     def close(self) -> None:
@@ -155,12 +176,8 @@ class _Flat:
     """Bodies in 2D, drawn as dots."""
 
     def __init__(self, axes: Axes, stage: Stage, corners: Array, unit: Unit, layers: int) -> None:
-        self._factor = unit.factor
-        self._dots = add_dots(axes, unit.factor * np.tile(stage.dots.size, layers))
-
-    def paint(self, layers: Sequence[tuple[Array, Array]]) -> None:
-        self._dots.set_offsets(self._factor * np.concatenate([x for x, _ in layers]))
-        self._dots.set_facecolor(np.concatenate([rgb for _, rgb in layers]))
+        dots = OutlinedDots(axes, stage.dots, unit.factor, layers)
+        self.paint, self.artist = dots.paint, dots.collection
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
@@ -175,13 +192,13 @@ class _Solid:
         self._bodies = SolidBodies(stage.scene, stage.look, corners, stage.box, stage.dots.size, pixels)
         (left, low), (right, high) = unit.factor * corners
         blank = np.zeros((pixels[1], pixels[0], 4))
-        self._image = axes.imshow(
+        self.artist = axes.imshow(
             blank, extent=(left, right, low, high), origin="upper", aspect="auto", interpolation="none", zorder=1
         )
         axes.set_aspect("equal")
 
     def paint(self, layers: Sequence[tuple[Array, Array]]) -> None:
-        self._image.set_data(self._bodies.paint(layers))
+        self.artist.set_data(self._bodies.paint(layers))
 
     def close(self) -> None:
         self._bodies.close()
@@ -223,13 +240,8 @@ def _bar_is_below(width: float, height: float) -> bool:
 
 def _colour_bar(figure: Figure, axes: Axes, colours: Colours) -> None:
     """Add the colour bar on the right, or below if the bodies are much wider than tall."""
-    import matplotlib
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     place = axes.get_position()
     wide, tall = figure.get_size_inches()
-    scale = ScalarMappable(Normalize(colours.low, colours.high), matplotlib.colormaps[colours.cmap])
     if _bar_is_below(place.width * wide, place.height * tall):
         length = min(place.width, 3.2 / wide)
         spot: Any = (place.x0 + 0.5 * (place.width - length), 0.45 / tall, length, 0.11 / tall)
@@ -238,9 +250,7 @@ def _colour_bar(figure: Figure, axes: Axes, colours: Colours) -> None:
         length = min(place.height, 3.2 / tall)
         spot = (place.x1 + 0.2 / wide, place.y0 + 0.5 * (place.height - length), 0.12 / wide, length)
         orientation = "vertical"
-    bar = figure.colorbar(
-        scale, cax=figure.add_axes(spot), orientation=orientation, extend="max" if colours.beyond else "neither"
-    )
+    bar = figure.colorbar(colours.scale(), cax=figure.add_axes(spot), orientation=orientation, extend=colours.extend)
     bar.set_label(colours.label)
     bar.outline.set_visible(False)
     bar.ax.grid(visible=False)

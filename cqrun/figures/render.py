@@ -148,7 +148,7 @@ def set_stage(run: RunData, frames: Frames, shown: Sequence[int], options: Rende
     look = PLANE if run.scene.dim == 2 else view(run.scene, box, options.view or "iso")
     dots = Dots.of(rest, frames.bodies)
     suffix = "" if frames.complete else ": not complete yet"
-    quantity, scheme = colours(options.color, run, frames, shown)
+    quantity, scheme = colours(options.color, run, frames)
     routes = cables(run, frames)
     marked = goals(run.scene, frames.provenance)
     corners = window_with_goals(_extent(frames, shown, look, trails), look, marked, dots.size)

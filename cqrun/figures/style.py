@@ -7,6 +7,7 @@ Pictures are made without pyplot, so there is no window and no state between two
 from __future__ import annotations
 
 import io
+import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -174,8 +175,24 @@ def log_ticks(axis: Axis, low: float, high: float) -> None:
         axis.set_minor_locator(NullLocator())
     else:
         axis.set_major_locator(LogLocator(numticks=7))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: tick_text(value)))
     axis.set_minor_formatter(NullFormatter())
+
+
+def tick_text(value: float) -> str:
+    """Return a number as short text, such as 250000, 1e6 or 2.5e-7."""
+    digits, exponent, power = f"{value:g}".partition("e")
+    return f"{digits}e{int(power)}" if exponent else digits
+
+
+def in_lines(text: str, longest: int) -> str:
+    """Return a name in lines of at most `longest` letters, divided after dots, underscores and spaces if possible."""
+    lines = [""]
+    for piece in re.split(r"(?<=[._ ])", text):
+        if lines[-1] and len(lines[-1]) + len(piece.rstrip()) > longest:
+            lines.append("")
+        lines[-1] += piece
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def note(axes: Axes, text: str) -> None:

@@ -26,12 +26,22 @@ from cqrun.jobs.table import JOBS
 from cqrun.learning.agent import Agent
 from cqrun.learning.description import control_lines, line, objective_lines
 from cqrun.learning.episodes import EpisodeProblem, differentiated, has_episodes
+from cqrun.materials.moduli import at_rest_words
 from cqrun.running.bodies import lies, made_of, on_particles, resolved, rounding_of
-from cqrun.running.cost import NANOSECONDS, duration, forward_seconds, gradient_seconds
+from cqrun.running.cost import (
+    NANOSECONDS,
+    OUTPUT,
+    START,
+    duration,
+    forward_seconds,
+    gradient_seconds,
+    picture_seconds,
+)
 from cqrun.running.gradient_memory import GRADIENT, gradient_plan
 from cqrun.running.reporter import Silent
 from cqrun.running.runs import build_and_warn, optimizer_of
 from cqrun.running.tables import number
+from cqrun.running.trajectories import count_frames
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
@@ -125,6 +135,9 @@ def _body(built: Built, name: str, thinnest: Thinnest) -> Iterator[str]:
     yield line(f"body {name}", made_of(built, name))
     yield line("", lies(built, name))
     yield line("", resolved(thinnest))
+    elastic = built.scene.bodies[name].material.elastic
+    if words := at_rest_words(elastic.value):
+        yield line("", f"{elastic.name}: {words}")
     groups = [f"{group} {len(members):,}" for group, members in built.particles.groups(name).items()]
     if groups:
         yield line("", f"groups: {listed(groups)}")
@@ -272,7 +285,22 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
             if constraints:
                 of += f" and the gradients of {constraints} constraint{'s' if constraints > 1 else ''}"
             once, most = ("a trial", "at most ") if constraints else ("an iteration", "")
-            yield line("", f"{once} of {optimizer.name}: {of}, {most}{duration(episodes * (backward + sweeps))}")
+            each = episodes * (backward + sweeps)
+            yield line("", f"{once} of {optimizer.name}: {of}, {most}{duration(each)}")
+            if not constraints:
+                count = optimizer.max_iterations
+                yield _whole_run(built, f"a whole run of {count} iterations", count * each)
         else:
             of = f"{learned.n_episodes} {'episode' if learned.n_episodes == 1 else 'episodes'} forward"
             yield line("", f"a trial of {optimizer.name}: {of}, {duration(learned.n_episodes * forward)}")
+    elif not _fits(built.scene):
+        yield _whole_run(built, "a whole simulation", forward)
+
+
+def _whole_run(built: Built, name: str, seconds: float) -> str:
+    """Return a line on the time of a whole run, whose rollouts take `seconds`."""
+    model = built.model
+    drawing = picture_seconds(model.dim, model.layout.n_particles, count_frames(built))
+    whole = START + seconds + OUTPUT * model.n_controls + drawing
+    parts = f"{duration(START)} to start and {duration(drawing)} for pictures and report, as measured on one machine"
+    return line("", f"{name}: about {duration(whole)}, with {parts}, but without compiling kernels")

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cqrun.materials.curves import FARTHEST, stable_to
 from cqrun.plugin.contract import Array
 
 
@@ -36,3 +37,15 @@ def moduli_of(spec: Any) -> Moduli | None:
     """Return the moduli at rest of a law of a scene, as numbers; None if the law does not tell its mu."""
     found = moduli_at(spec, np.array([[getattr(spec, name)] for name in spec.parameters]))
     return None if found is None else Moduli(*(float(value[0]) for value in found))
+
+
+def at_rest_words(spec: Any) -> str:
+    """Return a law's moduli at rest, and up to which stretch it is stable, as text; empty if they are not known."""
+    moduli = moduli_of(spec)
+    if moduli is None:
+        return ""
+    stable = stable_to(spec, np.array([getattr(spec, name) for name in spec.parameters]))
+    mode, end = min(stable.items(), key=lambda item: item[1])
+    held = f"stable up to a stretch of {end:.3g} ({mode})" if end < FARTHEST else f"stable up to a stretch of {end:g}"
+    numbers = f"mu {moduli.shear:.4g} Pa, K {moduli.bulk:.4g} Pa, E {moduli.young:.4g} Pa, nu {moduli.ratio:.5g}"
+    return f"{numbers} at rest; {held}"

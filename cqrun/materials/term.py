@@ -34,7 +34,7 @@ can measure it (measures/material.py):
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numba.core import types
@@ -69,6 +69,12 @@ class MaterialTerm(Plugin):
     `parameters` names the fields that become rows of theta, in this order. A value is one number or one per particle
     (N,).
     """
+
+    relaxes: ClassVar[bool] = False
+    """Whether a term with a history has no stress where bodies have rested for long, so that equilibria exist."""
+
+    def bind(self, law: Any) -> None:
+        """Take note of the elastic law of the material; called once, before anything else."""
 
     def kernel_term(self, theta: Array) -> Any:
         """Return the kernel's view of this term for parameters theta (rows, n)."""

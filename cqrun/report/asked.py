@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from cqrun.materials.moduli import at_rest_words
 from cqrun.plugin.choice import Chosen
 from cqrun.report.blocks import Block, Facts
 from cqrun.report.subject import Subject
@@ -42,6 +43,11 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "Task", task(subject)
     yield "World", _world(scene)
     yield "Bodies", "; ".join(_body(name, body) for name, body in list(scene.bodies.items())[:12])
+    laws = {body.material.elastic.name: body.material.elastic.value for body in scene.bodies.values()}
+    yield (
+        "Materials",
+        some((f"{law}: {words}" for law, spec in laws.items() if (words := at_rest_words(spec))), between="; "),
+    )
     yield "Boundaries", _plugins(scene.boundaries)
     yield "Loads", _plugins(scene.loads)
     yield "Forces", _plugins(scene.forces)
@@ -69,6 +75,12 @@ def _world(scene: Scene) -> str:
     size = " x ".join(short(edge) for edge in world.size)
     gravity = f", gravity {point(world.gravity)} m/s²" if any(world.gravity) else ", no gravity"
     return f"{scene.dim}D, {size} m, cells of {short(world.dx)} m{gravity}, frame: {world.frame}"
+
+
+def _material(body: Body) -> str:
+    """Return a law with its moduli at rest, if it tells them."""
+    words = at_rest_words(body.material.elastic.value)
+    return body.material.elastic.name + (f": {words}" if words else "")
 
 
 def _body(name: str, body: Body) -> str:

@@ -8,12 +8,7 @@ from cqrun.errors import MissingExtra
 from cqrun.figures.render import RenderOptions, render
 from cqrun.figures.run_data import RunData
 from cqrun.report.subject import Film
-
-MOST_FRAMES, FEW_FRAMES = 48, 12
-"""Pictures of a film at most; and of many particles, which take long to draw."""
-
-MOST_DOTS = 1_500_000
-"""Particles that are drawn in all pictures together, about."""
+from cqrun.running.cost import film_step
 
 FEWEST = 3
 """A run with fewer frames has no film."""
@@ -40,8 +35,7 @@ def make_film(run: RunData, folder: Path) -> Film | None:
         return None
     fps = FPS_AT_REST if run.job == "rest" else FPS
     path = folder / "film.gif"
-    most = min(MOST_FRAMES, max(FEW_FRAMES, MOST_DOTS // particles))
-    fewest = max(1, -(-(count - 1) // most))
+    fewest = film_step(count, particles)
     for every in (fewest, 2 * fewest, 4 * fewest):
         try:
             render(run.path, RenderOptions(fps=fps, every=every, output=path))

@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from cqrun.errors import UsageError
 from cqrun.explain import Loc
+from cqrun.figures.draw import draw_several
+from cqrun.figures.overlay import FORWARD
 from cqrun.figures.quantities import capitalised
 from cqrun.figures.run_data import RunData, read_run
 from cqrun.jobs.table import job_of
 from cqrun.report.asked import task
-from cqrun.report.blocks import Block, Cell, Folded, Link, Notes, Page, Section, Table, Text
+from cqrun.report.blocks import Block, Cell, Folded, Link, Notes, Page, Picture, Section, Table, Text
 from cqrun.report.cite import citation
 from cqrun.report.html import write_page
 from cqrun.report.page import subject_of
@@ -53,7 +56,7 @@ def write_several(paths: Sequence[Path], out: Path, *, pictures: bool = True) ->
     runs = [read_run(path) for path in paths]
     names = list(dict.fromkeys(run.name for run in runs))
     with tempfile.TemporaryDirectory(prefix="cqrun-") as folder:
-        sections = [Section("compared", "Side by side", list(_compared(runs)))]
+        sections = [Section("compared", "Side by side", [*_compared(runs), *_overlay(runs, Path(folder), pictures)])]
         if links := [_link(run, out.parent) for run in runs if (run.path / REPORT).is_file()]:
             sections.append(Section("reports", "Report of each run", [Table(("run",), [(link,) for link in links])]))
         sections += run_sections(runs, Path(folder), pictures=pictures)
@@ -136,6 +139,17 @@ def _compared(runs: Sequence[RunData]) -> Iterator[Block]:
     yield Table(head, [*ends, *found], "What was found")
     if findings := [f"{_label(run)}: {words}" for run in runs for words in getattr(run.result, "findings", [])]:
         yield Notes(findings)
+
+
+def _overlay(runs: Sequence[RunData], folder: Path, pictures: bool) -> Iterator[Block]:
+    """Yield the picture of what simulations or equilibria measure, if their curves have a common axis."""
+    if not pictures or any(run.job not in FORWARD for run in runs):
+        return
+    try:
+        (path,) = draw_several([run.path for run in runs], folder)
+    except UsageError:
+        return
+    yield Picture(path, "What the runs measure, a line for each run.", "What the runs measure, a line for each run.")
 
 
 def _leaves(value: Any, loc: Loc = ()) -> Iterator[tuple[str, str]]:

@@ -25,6 +25,16 @@ MANY = 100
 """If a value has more numbers than this, only its range is stored, because attributes of HDF5 hold 64 KiB at most."""
 
 
+def frame_step(built: Built) -> int:
+    """Return the number of control steps between the frames of a scene's trajectory."""
+    return -(-built.model.n_controls // built.scene.trajectory.frames)
+
+
+def count_frames(built: Built) -> int:
+    """Return the number of frames of a scene's trajectory, with the start."""
+    return -(-built.model.n_controls // frame_step(built)) + 1
+
+
 def write_trajectory(
     path: Path,
     built: Built,
@@ -50,8 +60,7 @@ def write_trajectory(
         The records of the probe, and whether the run reached its end.
     """
     model, particles = built.model, built.particles
-    every, extra = -(-model.n_controls // built.scene.trajectory.frames), ExtraFields(built)
-    n_frames = -(-model.n_controls // every) + 1
+    every, extra = frame_step(built), ExtraFields(built)
     bodies = {name: particles.of(name) for name in particles.names}
     fields: dict[str, tuple[int, ...]] = {"v": (model.dim,), "J": ()}
     if model.actuators:
@@ -60,7 +69,7 @@ def write_trajectory(
     attributes = {"scene": dump(resolve(built.scene)), "engine": engine_hash(), "seed": built.scene.seed}
     attributes |= provenance or {}
     step = built.scene.time.control_step
-    with TrajectoryWriter(path, n_frames, bodies, model.dim, fields, attributes, groups_of(built)) as writer:
+    with TrajectoryWriter(path, count_frames(built), bodies, model.dim, fields, attributes, groups_of(built)) as writer:
 
         def observe(control: int, state: State) -> None:
             if progress is not None:
@@ -75,7 +84,7 @@ def write_trajectory(
                 writer.write(writer.written, control * step, **values)
 
         records = rollout.run(observe, should_stop)
-        complete = writer.written == n_frames  # the last frame belongs to the last control step
+        complete = writer.written == count_frames(built)  # the last frame belongs to the last control step
         if not complete:
             writer.abandon()
         else:

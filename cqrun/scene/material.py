@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import Field, GetJsonSchemaHandler
+from pydantic import Field, GetJsonSchemaHandler, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
@@ -54,6 +54,12 @@ class Material(Terms):
         needed = [{"required": ["density", "elastic"]}, {"required": ["card"]}, {"required": ["file"]}]
         own = {k: v for k, v in found.items() if k != "required"}
         return own | {"properties": {**found["properties"], **FROM_ELSEWHERE}, "anyOf": needed}
+
+    @model_validator(mode="after")
+    def _bind_terms(self) -> Self:
+        for term in self.terms.values():
+            term.bind(self.elastic.value)  # type: ignore[attr-defined]  # a term, by its kind
+        return self
 
 
 class RegionMaterial(Terms):

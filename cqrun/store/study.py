@@ -7,8 +7,13 @@ from typing import Literal
 
 from pydantic import TypeAdapter
 
+from cqrun.scene.keypath import shortest
+from cqrun.scene.schema import Scene
 from cqrun.store.model_file import Part, optional, read_model, write_model
 from cqrun.store.thinnest import Thinnest
+
+ROUNDING = 1e-12
+"""Numbers of a sweep that differ by less than this part of the largest of their kind are equal but for rounding."""
 
 
 class Mean(Part):
@@ -185,6 +190,7 @@ class Sweep(Part):
         scene: the stem of the scene file.
         job: the job of the runs.
         axes: key paths of the values, in the order of the command.
+        units: units of those axes whose values are numbers, by key path; empty for pure numbers.
         found: the numbers that runs found, by name.
         runs: the runs, in the order of the points.
     """
@@ -192,14 +198,35 @@ class Sweep(Part):
     scene: str
     job: str
     axes: list[str]
+    units: dict[str, str] | None = optional()
     found: dict[str, Found]
     runs: list[SweptRun]
 
+    def unit(self, name: str) -> str:
+        """Return the unit of an axis or of a number that was found; empty if it has none."""
+        return self.found[name].unit if name in self.found else (self.units or {}).get(name, "")
+
+    def titles(self) -> dict[str, str]:
+        """Return a short name for each axis and each number that was found; of key paths the shortest different end."""
+        paths = [name for name in self.found if name.partition(".")[0] in Scene.model_fields]
+        short = dict(zip(self.axes, shortest(self.axes), strict=True)) | dict(zip(paths, shortest(paths), strict=True))
+        return {name: short.get(name, name) for name in (*self.axes, *self.found)}
+
     def varying(self) -> list[str]:
-        """Return the names of the numbers that differ between runs, those of most runs first; all if none differs."""
+        """Return the names of the numbers that differ between runs, those of most runs first; all if none differs.
+
+        Differences of rounding do not count, such as those of the largest displacement of what only moves down.
+        """
         seen = {name: [run.found[name] for run in self.runs if name in run.found] for name in self.found}
-        different = [name for name, values in seen.items() if len(set(values)) > 1]
+        sizes: dict[tuple[str, str], float] = {}
+        for name, values in seen.items():
+            sizes[self._kind(name)] = max([sizes.get(self._kind(name), 0.0), *map(abs, values)])
+        different = [n for n, v in seen.items() if v and max(v) - min(v) > ROUNDING * sizes[self._kind(n)]]
         return sorted(different, key=lambda name: -len(seen[name])) or list(self.found)
+
+    def _kind(self, name: str) -> tuple[str, str]:
+        """Return what numbers of one size share: the name without its last part, and the unit."""
+        return name.rpartition(".")[0], self.found[name].unit
 
 
 def write_study(file: Path, study: SeedsSummary | Ablation | Resolution | Sweep) -> None:

@@ -80,8 +80,8 @@ def certainty_of(fit: Fit) -> Certainty:
 
 def _unknowns(fit: Fit) -> list[Unknown]:
     unknowns = []
-    for parameter, value in zip(fit.law.parameters, fit.values.tolist(), strict=True):
-        if value > 0.0 and parameter.least is not None:
+    for k, (parameter, value) in enumerate(zip(fit.law.parameters, fit.values.tolist(), strict=True)):
+        if value > 0.0 and (parameter.least is not None or k in fit.law.exponents):
             unknowns.append(Unknown(parameter.name, value, value / WIDE, value * WIDE, log=True))
         else:
             reach = FAR * max(abs(value), 1e-30)

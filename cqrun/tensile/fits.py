@@ -23,11 +23,17 @@ STARTS = 6
 FEW = 120
 """So many points of a curve are enough to look for the region of the optimum."""
 
-FINE, COARSE, CAREFUL = 3, 40, 300
+FINE, COARSE, CAREFUL = 2, 40, 100
 """The best ends of so many starts are refined; evaluations of a search before that, and of the refinement."""
+
+SAME = 1e-3
+"""Ends whose sums of squares differ by less than this part are one."""
 
 TRIES = 60
 """Random values of a law whose stress is not finite at the data are drawn again so many times."""
+
+STEP = 1e-5
+"""Relative step of the differences."""
 
 RIDGE = 1e-4
 """Penalty on the moduli in units of the median secant: terms of a law that nearly cancel would grow without end, and
@@ -70,8 +76,13 @@ class Fit:
 
 def residuals_of(law: Law, values: Array, curves: Sequence[Curve]) -> Array:
     """Return the residuals (n,) of a law at all curves; `_FAR` where it has no stress."""
-    errors = [(law.stress(values, curve.mode, curve.stretch) - curve.stress) / curve.largest_stress for curve in curves]
-    every = np.concatenate(errors)
+    return all_residuals(law, np.asarray(values)[None], curves)[0]
+
+
+def all_residuals(law: Law, values: Array, curves: Sequence[Curve]) -> Array:
+    """Return the residuals (m, n) for m sets of values (m, p)."""
+    errors = [(law.stresses(values, c.mode, c.stretch) - c.stress) / c.largest_stress for c in curves]
+    every = np.concatenate(errors, axis=1)
     return np.where(np.isfinite(every), np.clip(every, -_FAR, _FAR), _FAR)
 
 
@@ -97,7 +108,8 @@ def fit_law(law: Law, curves: Sequence[Curve], near: Array | None = None, seed: 
     if not found:
         return None
     found.sort(key=lambda end: end[0])
-    ends = (_refined(law, curves, values, scale) for _, values in found[: FINE if near is None else 1])
+    apart = [end for k, end in enumerate(found) if k == 0 or end[0] > (1.0 + SAME) * found[k - 1][0]]
+    ends = (_refined(law, curves, values, scale) for _, values in apart[: FINE if near is None else 1])
     values = _ordered(law, min(ends, key=lambda end: end[0])[1])
     return Fit(law, values, tuple(curves), residuals_of(law, values, curves))
 
@@ -145,7 +157,7 @@ def _without_moduli(law: Law, curves: Sequence[Curve], values: Array, scale: flo
             return np.full(n + len(moduli), _FAR)
         return np.concatenate([residuals_of(law, there, curves), RIDGE * there[moduli] / scale])
 
-    moduli = [k for k in range(len(law.parameters)) if k not in free]
+    moduli = _moduli(law)
     n = sum(len(curve.stretch) for curve in curves)
     start = np.array([law.parameters[k].to_free(values[k], scale) for k in free])
     if free:
@@ -158,26 +170,27 @@ def _without_moduli(law: Law, curves: Sequence[Curve], values: Array, scale: flo
 
 def _with_moduli(law: Law, curves: Sequence[Curve], values: Array, scale: float) -> Array | None:
     """Return values with the moduli that fit best, in which the stress is linear; None if it is not finite."""
-    moduli = [k for k, parameter in enumerate(law.parameters) if parameter.is_modulus]
-    columns = []
-    for k in moduli:
-        unit = values.copy()
-        unit[moduli] = 1e-9 * scale
-        unit[k] = scale
-        columns.append(np.concatenate([law.stress(unit, c.mode, c.stretch) / c.largest_stress for c in curves]))
-    matrix = np.array(columns).T
+    from scipy.optimize import nnls
+
+    moduli = _moduli(law)
+    unit = np.array([scale / (values[law.exponents[k]] or 1e-9) if k in law.exponents else scale for k in moduli])
+    units = np.tile(values, (len(moduli), 1))
+    units[:, moduli] = np.diag(unit)
+    matrix = np.concatenate([law.stresses(units, c.mode, c.stretch) / c.largest_stress for c in curves], axis=1).T
     if not np.all(np.abs(matrix) < _LARGEST):
         return None
     sizes = np.linalg.norm(matrix, axis=0)
     sizes[sizes == 0.0] = 1.0
-    measured = np.concatenate([c.stress / c.largest_stress for c in curves])
-    rows = np.concatenate([matrix / sizes, np.diag(RIDGE / sizes)])
-    best = np.linalg.lstsq(rows, np.concatenate([measured, np.zeros(len(moduli))]), rcond=None)[0] / sizes * scale
-    least = np.array(
-        [-np.inf if (low := law.parameters[k].least) is None else low * scale + 1e-3 * scale for k in moduli]
-    )
+    rows = np.concatenate([matrix / sizes, np.diag(RIDGE * unit / scale / sizes)])
+    measured = np.concatenate([*(c.stress / c.largest_stress for c in curves), np.zeros(len(moduli))])
+    positive = [k in law.exponents for k in moduli]
+    best = nnls(rows, measured)[0] if all(positive) else np.linalg.lstsq(rows, measured, rcond=None)[0]
     values = values.copy()
-    values[moduli] = np.maximum(best, least)
+    values[moduli] = best / sizes * unit
+    for k in moduli:
+        least = law.parameters[k].least
+        if least is not None:
+            values[k] = max(values[k], least + 1e-3 * scale)
     return values
 
 
@@ -185,23 +198,31 @@ def _refined(law: Law, curves: Sequence[Curve], values: Array, scale: float) -> 
     """Return the sum of squares, and the values, where a search over all parameters ends."""
     from scipy.optimize import least_squares
 
-    def of_free(free: Array) -> Array:
-        return np.array([p.from_free(x, scale) for p, x in zip(law.parameters, free, strict=True)])
+    def with_ridge(points: Array) -> Array:
+        values = np.array([law.from_free(point, scale) for point in points])
+        return np.concatenate([all_residuals(law, values, curves), RIDGE * values[:, moduli] / scale], axis=1)
 
     def residuals(free: Array) -> Array:
-        values = of_free(free)
-        return np.concatenate([residuals_of(law, values, curves), RIDGE * values[moduli] / scale])
+        return np.asarray(with_ridge(free[None])[0])
 
-    moduli = [k for k, parameter in enumerate(law.parameters) if parameter.is_modulus]
-    start = np.array([p.to_free(x, scale) for p, x in zip(law.parameters, values, strict=True)])
-    exact = {"x_scale": "jac", "ftol": 1e-13, "xtol": 1e-13}
+    def jacobian(free: Array) -> Array:
+        steps = STEP * np.maximum(np.abs(free), 1.0)
+        errors = with_ridge(np.concatenate([free + np.diag(steps), free - np.diag(steps)]))
+        return np.asarray((errors[: len(free)] - errors[len(free) :]).T / (2.0 * steps))
+
+    moduli, start = _moduli(law), law.to_free(values, scale)
+    exact = {"x_scale": "jac", "ftol": 1e-11, "xtol": 1e-11}
     ends = [(float(np.sum(residuals(start) ** 2)), start)]
     for method in ("trf", "lm"):  # the second ends where the first creeps along a valley
         if method == "trf" or sum(len(curve.stretch) for curve in curves) >= len(start):
-            end = least_squares(residuals, ends[-1][1], method=method, max_nfev=CAREFUL, **exact)
+            end = least_squares(residuals, ends[-1][1], jacobian, method=method, max_nfev=CAREFUL, **exact)
             ends.append((float(2.0 * end.cost), end.x))
     cost, free = min(ends, key=lambda end: end[0])
-    return cost, of_free(free)
+    return cost, law.from_free(free, scale)
+
+
+def _moduli(law: Law) -> list[int]:
+    return [k for k, parameter in enumerate(law.parameters) if parameter.is_modulus]
 
 
 def _ordered(law: Law, values: Array) -> Array:

@@ -7,8 +7,8 @@ that keeps its volume. A parameter with a lower limit is fitted by its logarithm
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -27,6 +27,9 @@ VOLUME = ("bulk_modulus", "poissons_ratio")
 """Parameters that are not fitted."""
 
 NU = 0.4999
+SMALLEST, LARGEST = 1e-9, 20.0
+"""A positive number is at least so large, in units of its scale, and its logarithm at most so far from 0."""
+
 _ANY = 2.0
 """A value that every parameter of a law may have: the kernels' view needs some."""
 
@@ -50,15 +53,15 @@ class Parameter:
         """Whether the stress grows in proportion to the moduli of a law."""
         return self.unit == "Pa"
 
-    def to_free(self, value: Array, scale: float) -> Array:
-        """Return the number that an optimizer moves, for values of the parameter; `scale` is a modulus [Pa]."""
-        value = np.asarray(value) / (scale if self.is_modulus else 1.0)
-        return value if self.least is None else np.log(np.maximum(value - self.least, 1e-12))
+    def to_free(self, value: float, scale: float) -> float:
+        """Return the number that an optimizer moves, for a value of the parameter; `scale` is a modulus [Pa]."""
+        value = value / scale if self.is_modulus else value
+        return value if self.least is None else float(np.log(max(value - self.least, SMALLEST)))
 
-    def from_free(self, free: Array, scale: float) -> Array:
+    def from_free(self, free: float, scale: float) -> float:
         """Return the parameter for the number that an optimizer moves."""
-        value = free if self.least is None else self.least + np.exp(np.clip(free, -20.0, 20.0))
-        return np.asarray(value * (scale if self.is_modulus else 1.0))
+        value = free if self.least is None else self.least + float(np.exp(np.clip(free, -LARGEST, LARGEST)))
+        return value * scale if self.is_modulus else value
 
 
 @dataclass(frozen=True)
@@ -69,11 +72,15 @@ class Law:
         spec: the plug-in with any values: its class selects the kernel.
         parameters: those that are fitted.
         terms: number of terms, or 0 for a law whose number is fixed.
+        exponents: for each modulus whose product with another parameter has to be positive, the number of that
+            parameter, as in terms mu_k, alpha_k. What is fitted is the logarithm of the product, so that the exponent
+            may change its sign.
     """
 
     spec: Any
     parameters: tuple[Parameter, ...]
     terms: int = 0
+    exponents: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -100,10 +107,31 @@ class Law:
             theta[list(self.spec.parameters).index("poissons_ratio")] = ratio
         return theta
 
+    def to_free(self, values: Array, scale: float) -> Array:
+        """Return the numbers (p,) that an optimizer moves, for values of the parameters; `scale` is a modulus [Pa]."""
+        free = [p.to_free(float(x), scale) for p, x in zip(self.parameters, values, strict=True)]
+        for k, exponent in self.exponents.items():
+            free[k] = float(np.log(max(float(values[k] * values[exponent]) / scale, SMALLEST)))
+        return np.array(free)
+
+    def from_free(self, free: Array, scale: float) -> Array:
+        """Return the values (p,) of the parameters for the numbers that an optimizer moves."""
+        values = [p.from_free(float(x), scale) for p, x in zip(self.parameters, free, strict=True)]
+        for k, exponent in self.exponents.items():
+            values[k] = scale * float(np.exp(np.clip(free[k], -LARGEST, LARGEST))) / (values[exponent] or SMALLEST)
+        return np.array(values)
+
     def stress(self, values: Array, mode: Mode, stretch: Array) -> Array:
         """Return the nominal stress (n,) [Pa]; not finite beyond the limit of a law that has one."""
         with np.errstate(all="ignore"):
             return nominal_stress(self.spec, self.theta(values), mode, stretch)
+
+    def stresses(self, values: Array, mode: Mode, stretch: Array) -> Array:
+        """Return the nominal stress (m, n) [Pa] for m sets of values (m, p), in one call of the kernel."""
+        theta = np.repeat(np.array([self.theta(own) for own in values]).T, len(stretch), axis=1)
+        with np.errstate(all="ignore"):
+            stress = nominal_stress(self.spec, theta, mode, np.tile(stretch, len(values)))
+        return stress.reshape(len(values), len(stretch))
 
     def moduli(self, values: Array, ratio: float = NU) -> Moduli:
         """Return the moduli at rest, as numbers."""
@@ -156,9 +184,29 @@ def laws_of(cls: type[Plugin]) -> Iterator[Law]:
         except ValidationError:
             continue
         parameters = tuple(_parameter(cls, name) for name in wanted)
-        law = Law(spec, parameters, terms)
+        law = Law(spec, parameters, terms, _exponents(cls, wanted, parameters) if terms else {})
         if set(wanted) <= set(spec.parameters) and moduli_at(spec, law.theta(np.full(len(wanted), _ANY))[:, None]):
             yield law
+
+
+def _exponents(cls: Any, names: Sequence[str], parameters: Sequence[Parameter]) -> dict[int, int]:
+    """Return the exponent of each modulus of a law with terms, if the law refuses a product that is not positive."""
+    found = {}
+    for k, parameter in enumerate(parameters):
+        end = parameter.name.rsplit("_", 1)[-1]
+        partners = [i for i, p in enumerate(parameters) if p.name.endswith(f"_{end}") and not p.is_modulus]
+        if not parameter.is_modulus or len(partners) != 1:
+            continue
+        values = dict.fromkeys(names, _ANY)
+        try:
+            cls(**values | {parameter.name: -_ANY, names[partners[0]]: -_ANY}, poissons_ratio=NU)
+        except ValidationError:
+            continue
+        try:
+            cls(**values | {names[partners[0]]: -_ANY}, poissons_ratio=NU)
+        except ValidationError:
+            found[k] = partners[0]
+    return found
 
 
 def _parameter(cls: type[Plugin], name: str) -> Parameter:

@@ -60,12 +60,10 @@ class Prony:
 
     def fragment(self) -> dict[str, Any]:
         """Return the term of a scene's material."""
-        return {
-            "prony": {
-                "moduli": [float(f"{g:.6g}") for g in self.moduli],
-                "times": [float(f"{t:.6g}") for t in self.times],
-            }
-        }
+        fields: dict[str, float] = {}
+        for k, (modulus, time) in enumerate(zip(self.moduli, self.times, strict=True), start=1):
+            fields |= {f"ratio_{k}": float(f"{modulus:.6g}"), f"time_{k}": float(f"{time:.6g}")}
+        return {"prony": fields}
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ def test_a_part_of_a_body_counts():
     assert averages(of_two_materials(0.495))
     assert not averages(of_two_materials(0.4))
     (message,) = map(str, locking_bodies(of_two_materials(0.495, volume="local")))
-    assert f"{PART}: 0.495 is nearly incompressible" in message
+    assert f"{PART}: a Poisson's ratio of 0.495 is nearly incompressible" in message
 
 
 def test_a_path_of_equilibria_counts():

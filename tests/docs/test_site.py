@@ -23,6 +23,8 @@ from docs.building.present import present
 LOADED = {"script": "src", "img": "src", "link": "href", "iframe": "src", "source": "src", "video": "src"}
 """Attributes of elements that a browser loads with a page."""
 
+SITE = Path(__file__).parents[2] / "docs" / "site"
+
 
 class Page(HTMLParser):
     """The links, the loaded files and the anchors of a page."""
@@ -120,3 +122,24 @@ def test_a_part_for_a_command_is_there_with_the_command():
     page = "a\n<!-- for cqrun {} -->\nb\n<!-- end -->\nc\n"
     assert present(page.format("simulate")) == "a\nb\nc\n"
     assert present(page.format("nonsense")) == "a\nc\n"
+
+
+def gallery_items() -> list[tuple[str, str]]:
+    """Return title and text of each picture of the gallery."""
+    parts = re.split(r"^### (.+)$", (SITE / "gallery.md").read_text("utf-8"), flags=re.MULTILINE)[1:]
+    texts = [re.split(r"^## ", text, flags=re.MULTILINE)[0] for text in parts[1::2]]
+    return list(zip(parts[::2], texts, strict=True))
+
+
+@pytest.mark.parametrize(("title", "text"), gallery_items(), ids=[title for title, _ in gallery_items()])
+def test_a_picture_of_the_gallery_has_its_scene_and_its_commands(title, text):
+    picture = re.search(r"^!\[.+\]\((.+)\)$", text, re.MULTILINE)
+    scene = re.search(r"\[[Tt]he scene\]\(([^)#]+)[^)]*\)", text)
+    command = re.search(r"^\$ cqrun \w+ (\S+\.yaml)", text, re.MULTILINE)
+    assert picture is not None
+    assert scene is not None
+    assert command is not None
+    assert (SITE / picture[1]).is_file()
+    name = Path(command[1]).name
+    source = (SITE / scene[1]).read_text("utf-8")
+    assert Path(scene[1]).name == name or f"`{name}`:\n\n```yaml" in source

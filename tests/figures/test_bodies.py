@@ -11,6 +11,7 @@ from made_runs import DURATION, made_twin, plane_scene, write_run, write_traject
 
 from cqrun.errors import UsageError
 from cqrun.figures.bodies import draw_bodies, farthest_frame, plot_body, snapshots
+from cqrun.figures.colours import colours
 from cqrun.figures.overview import draw_overview
 from cqrun.figures.run_data import TRAJECTORY, read_run
 from cqrun.figures.scenery import boundary_section
@@ -50,7 +51,7 @@ def test_first_middle_and_last_frame(tmp_path, rng, frames, times):
     with falling(tmp_path, range(frames), rng.random((4, 2))) as trajectory:
         shots = snapshots(trajectory)
     assert [shot.time for shot in shots] == pytest.approx(times)
-    np.testing.assert_allclose([shot.moved for shot in shots], np.repeat(np.array(times) / 100, 4).reshape(-1, 4))
+    assert [shot.frame for shot in shots] == [round(10 * time) for time in times]
 
 
 def test_no_frame_is_an_error(tmp_path, rng):
@@ -101,10 +102,11 @@ def test_near_particles_cover_far_ones(tmp_path):
     look = views(scene, np.array([[0.0] * 3, [0.1, 0.01, 0.01]]))[0]
     with styled():
         axes = new_figure(3, 3).add_subplot()
-        dots = plot_body(axes, scene, shot, look, window(x, look, 0.01), Unit("mm", 1e3), 0.0)
+        dots = plot_body(axes, scene, shot, look, window(x, look, 0.01), Unit("mm", 1e3), np.eye(3))
     np.testing.assert_allclose(dots.get_offsets(), [[20, 20], [50, 50], [50, 50]])
     order = np.argsort(x @ look.towards, kind="stable")
     assert order[-1] == 0  # the eye is at smaller y, and that particle is nearest to it
+    np.testing.assert_array_equal(dots.get_facecolor()[:, :3], np.eye(3)[order])
 
 
 def test_boundaries_are_drawn_where_they_act():
@@ -131,9 +133,11 @@ def test_the_picture_shows_positions_and_displacements(tmp_path, rng):
     panels = figure.axes[:3]
     assert [axes.get_title(loc="left") for axes in panels] == ["t = 0 s", "t = 0.2 s", "t = 0.4 s"]
     for axes, frame in zip(panels, (0, 20, 40), strict=True):
-        dots = axes.collections[-1]
-        np.testing.assert_allclose(dots.get_offsets(), 1e3 * x[frame])
-        np.testing.assert_allclose(dots.get_array(), 1e3 * np.linalg.norm(x[frame] - x[0], axis=1), atol=1e-9)
+        dots, count = axes.collections[-1], x.shape[1]
+        np.testing.assert_allclose(dots.get_offsets()[-count:], 1e3 * x[frame])
+        with run.frames() as frames:
+            _, scheme = colours("displacement", run, frames)
+            np.testing.assert_allclose(dots.get_facecolor()[-count:, :3], scheme.rgb(frame))
     assert (panels[0].get_xlabel(), panels[0].get_ylabel()) == ("x (mm)", "y (mm)")
     assert figure.axes[3].get_ylabel() == "displacement (mm)"
 

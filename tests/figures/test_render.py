@@ -9,13 +9,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from made_runs import DURATION, YOUNG, plane_scene, write_result, write_run, write_trajectory
+from made_motion import moving, pulled
+from made_runs import DURATION, plane_scene, write_run
 from PIL import Image
 
 from cqrun.build.particles import sample
 from cqrun.errors import MissingExtra, Stopped, UsageError
 from cqrun.figures import movie, solid
-from cqrun.figures.colours import colours
+from cqrun.figures.picture import Picture
 from cqrun.figures.render import RenderOptions, followed_particles, render, set_stage, shown_frames, stamp
 from cqrun.figures.run_data import TRAJECTORY, read_run
 from cqrun.figures.scenery import goals, plot_goals
@@ -33,31 +34,46 @@ needs_ffmpeg = pytest.mark.skipif(
     importlib.util.find_spec("imageio_ffmpeg") is None, reason="the extra video is not installed"
 )
 
-LEFT = {"box": {"corner": [0, 0], "size": [0.045, 0.1]}}
-MUSCLE = {"muscle": {"body": "a", "region": LEFT, "axis": [1, 0], "strength": 1}}
-
-
-def moving(out, scene, *, frames=4, dim=2, field_v=True):
-    """Return a run whose particles move to the right by 1 mm per frame."""
-    run = write_run(out, scene, job="simulate", status="done")
-    particles = sample(read_run(run).scene)
-    bodies = {name: particles.of(name) for name in particles.names}
-    fields = {"v": (dim,)} if field_v else {}
-    with TrajectoryWriter(run / TRAJECTORY, frames, bodies, dim, fields, {}) as writer:
-        for k in range(frames):
-            x = particles.x.copy()
-            x[:, 0] += 1e-3 * k
-            extra = {"v": np.full_like(x, 0.3)} if field_v else {}
-            writer.write(k, 0.1 * k, x=x, step=np.asarray(10 * k), **extra)
-    return run
-
 
 @pytest.fixture(scope="module")
 def plane(tmp_path_factory):
-    actuators = {"pull": MUSCLE}
-    goals = {"target": {"position": [0.19, 0.09]}}
-    scene = plane_scene({}, actuators=actuators, activation={"signals": {"pull": [0.25, -0.5]}}, goals=goals)
-    return moving(tmp_path_factory.mktemp("plane"), scene)
+    return pulled(tmp_path_factory.mktemp("plane"))
+
+
+class NoBodies:
+    """Bodies in 3D that need no renderer, because nothing of them is seen."""
+
+    def __init__(self, *words):
+        self.blank = np.zeros((*words[-1][::-1], 4))
+
+    def paint(self, layers):
+        return self.blank
+
+    def close(self):
+        """Do nothing: there is nothing to release."""
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_film_draws_its_axes_once_and_looks_as_if_all_were_drawn(plane, dim, tmp_path, monkeypatch):
+    monkeypatch.setattr("cqrun.figures.picture.SolidBodies", NoBodies)
+    folder = plane if dim == 2 else moving(tmp_path, block(), dim=3)
+    run, shown = read_run(folder), [0, 1, 2, 3]
+    with Frames(folder / TRAJECTORY) as frames, styled():
+        stage = set_stage(run, frames, shown, RenderOptions())
+        layers = [(frames.read("x", frame), stage.colours.rgb(frame)) for frame in shown]
+        with Picture(stage, 1, 60.0) as picture:
+            drawn = []
+            picture.axes.xaxis.draw = drawn.append
+            pictures = [picture.show([layer], f"t = {frame} s", frame) for frame, layer in enumerate(layers)]
+            assert drawn == []
+        with Picture(stage, 1, 60.0) as picture:
+            picture.show([layers[3]], "t = 3 s", 3)
+            for artist in picture.axes.get_children():
+                artist.set_animated(False)
+            picture.figure.canvas.draw()
+            whole = np.asarray(picture.figure.canvas.buffer_rgba())[..., :3]
+    np.testing.assert_array_equal(pictures[3], whole)
+    assert (pictures[0] != pictures[3]).any()
 
 
 def block(**more):
@@ -187,78 +203,6 @@ def test_the_group_that_should_reach_a_goal_leaves_the_trail(tmp_path):
                 np.testing.assert_array_equal(followed["a.right"], groups["right"])
             assert list(followed_particles(run, frames, "a")) == ["a"]
             assert followed_particles(run, frames, "none") == {}
-
-
-# --- colours ------------------------------------------------------------------------------------------------
-
-
-def scheme(run, quantity, shown=(0, 1, 2, 3)):
-    with Frames(run / TRAJECTORY) as frames:
-        name, result = colours(quantity, read_run(run), frames, shown)
-        return name, result, [result.values(k) for k in range(len(frames))]
-
-
-def test_activation_is_computed_from_the_scene_if_it_is_not_stored(plane):
-    x = sample(read_run(plane).scene).x
-    name, shown, values = scheme(plane, None)
-    assert (name, shown.label, shown.low, shown.high) == ("activation", "activation", -0.5, 0.5)
-    driven = np.isfinite(values[0])
-    np.testing.assert_array_equal(driven, x[:, 0] < 0.045)
-    # steps 0, 10, 20 of 40 lie in the first half of the run, 30 in the second
-    np.testing.assert_allclose([v[driven].mean() for v in values], [0.25, 0.25, 0.25, -0.5])
-    assert [float(np.ptp(v[driven])) for v in values] == [0.0] * 4
-
-
-def test_displacement_and_speed(plane):
-    _, shown, values = scheme(plane, "displacement")
-    assert shown.label == "displacement (mm)"
-    np.testing.assert_allclose([v.mean() for v in values], [0, 1, 2, 3], atol=1e-9)
-    _, shown, values = scheme(plane, "velocity")
-    assert (shown.label, shown.high) == ("speed (m/s)", pytest.approx(0.3 * np.sqrt(2)))
-
-
-def test_strain_is_computed_from_the_deformation(tmp_path):
-    run = write_run(tmp_path, plane_scene({}), job="simulate", status="done")
-    rest = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
-    F = np.array([[1.2, 0.3], [0.0, 0.9]])
-    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
-    write_trajectory(run, np.stack([rest, rest @ turn.T, rest @ F.T]), np.array([0.0, 0.1, 0.2]))
-    E = 0.5 * (F.T @ F - np.eye(2))
-    values = scheme(run, "strain", (0, 1, 2))[2]
-    expected = [0.0, 0.0, np.linalg.norm(E)]
-    np.testing.assert_allclose(values, np.repeat(np.array(expected)[:, None], 30, axis=1), atol=1e-12)
-
-
-def test_stiffness_is_the_identified_one(tmp_path):
-    run = moving(tmp_path, plane_scene({}))
-    _, shown, values = scheme(run, "stiffness")
-    assert (shown.label, shown.low, shown.high) == ("Young's modulus (kPa)", 0.0, 400.0)
-    write_result(run, {f"bodies.b.{YOUNG}": {"value": 3e5}}, None)
-    with Frames(run / TRAJECTORY) as frames:
-        bodies = frames.bodies
-    _, shown, values = scheme(run, "stiffness")
-    assert (shown.low, shown.high) == (pytest.approx(200), pytest.approx(300))
-    np.testing.assert_allclose(values[0][bodies["a"]], 200)
-    np.testing.assert_allclose(values[0][bodies["b"]], 300)
-
-
-@pytest.mark.parametrize(
-    ("quantity", "message"),
-    [
-        ("activation", "--color activation: the scene of this run has no actuators"),
-        ("velocity", r"--color velocity: .* has no field v; displacement and strain can be shown for every run"),
-    ],
-)
-def test_the_error_names_a_missing_quantity(tmp_path, quantity, message):
-    with pytest.raises(UsageError, match=message):
-        scheme(moving(tmp_path, plane_scene({}), field_v=False), quantity)
-
-
-def test_a_scene_with_other_particles_than_the_trajectory_is_refused(tmp_path):
-    run = write_run(tmp_path, plane_scene({}), job="simulate", status="done")
-    write_trajectory(run, np.zeros((1, 3, 2)), np.array([0.0]))
-    with pytest.raises(UsageError, match="its particles are not those of"):
-        scheme(run, "stiffness", (0,))
 
 
 # --- files --------------------------------------------------------------------------------------------------

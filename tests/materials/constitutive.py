@@ -17,8 +17,17 @@ from cqrun.plugin import registry
 RANGES = {
     "youngs_modulus": (1.0, 10.0), "poissons_ratio": (-0.3, 0.45), "bulk_modulus": (1.0, 10.0),
     "c10": (0.5, 2.0), "c01": (0.1, 0.5), "jm": (3.0, 10.0), "lock": (1.5, 3.0),
+    "mu_1": (0.5, 2.0), "alpha_1": (1.2, 4.0), "mu_2": (-0.5, -0.1), "alpha_2": (-3.0, -1.0), "mu_3": (0.01, 0.1),
+    "alpha_3": (5.0, 9.0),
 }  # fmt: skip
 """Where parameters are drawn from that terms share, or that have no bounds; others from their own bounds."""
+
+OWN = {
+    "ogden": ("mu_1", "alpha_1"),
+    "ogden:2": ("mu_1", "alpha_1", "mu_2", "alpha_2"),
+    "ogden:3": ("mu_1", "alpha_1", "mu_2", "alpha_2", "mu_3", "alpha_3"),
+}
+"""The parameters of laws that may have several numbers of them."""
 
 N = 12
 """States tried at a time."""
@@ -60,31 +69,45 @@ def elastic_names() -> list[str]:
     return list(registry.plugins("elastic"))
 
 
+def without_history() -> list[str]:
+    """Return the further terms of a stress that have no history; tests of `prony` are in test_prony.py."""
+    return [name for name, cls in registry.plugins("material_term").items() if not getattr(cls, "relaxes", False)]
+
+
 def all_names() -> list[str]:
-    """Return every term that a stress may have: elastic laws, further terms, and muscles."""
-    return [
-        *elastic_names(), "mooney_rivlin/bulk", *registry.plugins("material_term"), "incompressibility^4", "muscle"
-    ]  # fmt: skip
+    """Return every term without history that a stress may have: elastic laws, further terms, and muscles."""
+    variants = ["mooney_rivlin/bulk", "ogden:2", "ogden:3", "fibre:2", "fibre:t"]
+    return [*elastic_names(), *variants, *without_history(), "incompressibility^4", "muscle"]
 
 
 def make(name: str, dim: int, rng: np.random.Generator) -> Term:
     """Return a term by name, its parameters drawn at random.
 
-    `name^p` is a term of another power, and `name/bulk` a law whose bulk modulus is given in place of nu.
+    `name^p` is a term of another power, `name/bulk` a law whose bulk modulus is given in place of nu, and `name:k` one
+    of k terms.
     """
     if name == "muscle":
         rows = dim * (dim + 1) // 2
         return Term(name, None, Muscle(None, (0,) * rows), rng.normal(size=(rows, N)))
     plain, _, power = name.partition("^")
     plain, _, bulk = plain.partition("/")
-    known = registry.plugins("elastic") | registry.plugins("material_term")
+    plain = plain.partition(":")[0]
+    if plain == "fibre":
+        directions = [[1.0] + [0.0] * (dim - 1), [1.0, 2.0, 3.0][:dim]][: 1 + name.endswith(":2")]
+        return of_class(name, known_terms()[plain], rng, directions=directions, tension_only=name.endswith("t"))
+    known = known_terms()
     options = {"power": int(power)} if power else {}
     return of_class(name, known[plain], rng, bulk="bulk_modulus" if bulk else "poissons_ratio", **options)
 
 
+def known_terms() -> dict[str, Any]:
+    """Return the classes of all terms of a stress by name."""
+    return registry.plugins("elastic") | registry.plugins("material_term")
+
+
 def of_class(name: str, cls: Any, rng: np.random.Generator, bulk: str = "poissons_ratio", **options: Any) -> Term:
     """Return the term of a plug-in class; `bulk` is the parameter by which a law of rubber gets its bulk modulus."""
-    names = (*cls.own, bulk) if issubclass(cls, Rubber) else cls.parameters
+    names = (*OWN.get(name, cls.own), bulk) if issubclass(cls, Rubber) else cls.parameters
     theta = np.array([rng.uniform(*_range(cls, p), N) for p in names])
     given = {p: float(theta[r, 0]) for r, p in enumerate(names) if p in cls.model_fields}
     spec = cls(**given, **options)

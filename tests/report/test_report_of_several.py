@@ -49,6 +49,7 @@ def test_several_runs_are_side_by_side(beams, tmp_path):
     assert f"beam: top speed [m/s] {speeds[0]:.4g} {speeds[1]:.4g}" in page.text
     assert page.tags.count("details") > 2
     assert page.tags.count("img") >= 4
+    assert "What the runs measure, a line for each run." in page.text
     assert page.text.count("@software") == 1
 
 

@@ -37,7 +37,7 @@ CASES = {
         "fixed_corrotated:",
         [
             "beam.yaml:14:9: bodies.beam.material.elastic.fixed_corrotated: no elastic has this name "
-            "(did you mean 'fixed_corotated'?); legal names: arruda_boyce, fixed_corotated, gent, ",
+            "(did you mean 'fixed_corotated'?); legal names: arruda_boyce, fixed_corotated, gent, mooney_rivlin, ",
         ],
     ),
     "misspelt term": (

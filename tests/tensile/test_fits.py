@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made_pulls import curve, powers
+from made_pulls import curve, ogden
 
 from cqrun.errors import UsageError
 from cqrun.materials.curves import MODES
@@ -70,10 +70,10 @@ def test_intervals_cover_the_truth(name):
 
 
 def test_numbered_fields_are_terms_and_both_terms_are_found():
-    one, two = powers()
+    one, two, three = ogden()
     assert [p.name for p in two.parameters] == ["mu_1", "alpha_1", "mu_2", "alpha_2"]
-    assert (one.title, two.title) == ("powers, 1 term", "powers, 2 terms")
-    true = [4e5, 1.3, 2e3, 5.0]
+    assert [law.title for law in (one, two, three)] == ["ogden, 1 term", "ogden, 2 terms", "ogden, 3 terms"]
+    true = [4e5, 1.3, -2e3, -5.0]
     curves = [curve(two, true, np.linspace(1.0, 4.0, 60), mode, noise=0.002) for mode in MODES]
     fits = [fit_law(law, curves) for law in (one, two)]
     assert fits[1].values == pytest.approx(true, rel=0.1)
@@ -81,9 +81,26 @@ def test_numbered_fields_are_terms_and_both_terms_are_found():
 
 
 def test_the_fewest_terms_that_fit_are_kept():
-    one, two = powers()
+    one, two, _ = ogden()
     fits = [fit_law(law, [curve(one, [1e5, 2.0], STRETCH, noise=0.002)]) for law in (one, two)]
     assert one_of_each(fits) == [fits[0]]
+
+
+def test_terms_that_a_scene_refuses_are_not_looked_for():
+    """mu_k alpha_k has to be positive, also where terms of opposite signs would fit better."""
+    two = ogden()[1]
+    assert two.exponents == {0: 1, 2: 3}
+    softening = curve(law_of("mooney_rivlin"), [1e5, -9e4], np.linspace(1.2, 3.0, 60))
+    fit = fit_law(two, [softening])
+    assert np.all(fit.values[::2] * fit.values[1::2] > 0.0)
+    two.made(fit.values, 0.49)
+
+
+@pytest.mark.parametrize("name", ["gent", "arruda_boyce", "yeoh", "ogden"])
+def test_what_an_optimizer_moves_is_the_values_again(name):
+    law = all_laws([name])[-1]
+    values = np.array([2e5, 2.5, -300.0, -4.0, 1e3, 6.0][: len(law.parameters)])
+    assert law.from_free(law.to_free(values, 1e5), 1e5) == pytest.approx(values, rel=1e-12)
 
 
 def test_more_parameters_than_the_data_can_tell_get_no_false_interval():

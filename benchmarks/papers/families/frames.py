@@ -12,6 +12,7 @@ from benchmarks.papers.families.integrity import watch
 from benchmarks.papers.figure import Figure, Folders, Size, Table
 from cqrun.build.particles import sample
 from cqrun.figures.bodies import plot_body, snapshots, window_of
+from cqrun.figures.colours import colours
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.run_data import RunData, read_run
 from cqrun.figures.style import COLOURS, new_figure
@@ -74,6 +75,8 @@ class Frames(Figure):
         assert run is not None
         with run.frames() as frames:
             shots = snapshots(frames, self.moments(table).tolist())
+            _, scheme = colours("displacement", run, frames)
+            shades = [scheme.rgb(shot.frame) for shot in shots]
         x = np.stack([shot.x for shot in shots])
         look = views(run.scene, x)[0]
         corners = window_of(run.scene, shots, look)
@@ -83,10 +86,9 @@ class Frames(Figure):
         height = width * float(np.clip((corners[1, 1] - corners[0, 1]) / (corners[1, 0] - corners[0, 0]), 0.2, 1.6))
         picture = new_figure(WIDTH + 0.9, rows * (height + 0.55))
         panels = picture.subplots(rows, self.columns, squeeze=False).ravel()
-        largest, unit = max(float(shot.moved.max()) for shot in shots), length_unit(float(np.max(corners)))
-        for axes, shot in zip(panels, shots, strict=False):
-            dots = plot_body(axes, run.scene, shot, look, corners, unit, largest)
-            dots.set_rasterized(True)  # thousands of them
+        unit = length_unit(float(np.max(corners)))
+        for axes, shot, rgb in zip(panels, shots, shades, strict=False):
+            plot_body(axes, run.scene, shot, look, corners, unit, rgb)
             path = np.stack([table[axis] for axis in "xyz" if axis in table], axis=1)
             upto = table["time"] <= shot.time + 1e-9
             (line,) = axes.plot(*(unit.factor * (path @ look.axes.T)[upto]).T, color=COLOURS[1], lw=1.0)
@@ -97,7 +99,8 @@ class Frames(Figure):
         for axes in panels[self.count :]:
             axes.remove()
         picture.legend([line], [f"path of the middle of the {self.group or self.body}"], loc="outside lower center")
-        colours = picture.colorbar(dots, ax=list(panels[: self.count]), shrink=0.85, pad=0.015, aspect=28)
-        colours.set_label(f"displacement [{self.unit}]")
-        colours.outline.set_visible(False)
+        shown = list(panels[: self.count])
+        bar = picture.colorbar(scheme.scale(), ax=shown, shrink=0.85, pad=0.015, aspect=28, extend=scheme.extend)
+        bar.set_label(scheme.label.replace("(m)", f"[{self.unit}]"))
+        bar.outline.set_visible(False)
         return picture

@@ -147,12 +147,7 @@ class ReferenceRollout(Rollout):
         It is (2, M + E + H, 4); M nodes are followed by E rows of springs and impulses, and H rows of histories.
         """
         state, m, dim = self.inputs.state, self.inputs.fields.mass, self.model.dim
-        n_nodes = self.rest.patches.n_nodes
-        histories = [rows_of_state(self.bundle.q, each.first) for each in self.histories]
-        rows = self._rows_of_motion() + sum(each.shape[1] for each in histories)
-        start = aligned((2, rows, 4), self.model.real)
-        for own in histories:
-            start[:, self._rows_of_motion() :] = own
+        n_nodes, start = self.rest.patches.n_nodes, self._still_state()
         momentum = self.rest.to_nodes(m[:, None] * state.v, m[:, None, None] * state.C * self.model.dx)
         active = self.bundle.nodes.active
         v = np.zeros_like(momentum)
@@ -161,6 +156,15 @@ class ReferenceRollout(Rollout):
         for n in active[self.bundle.nodes.bits[active] != 0]:
             v[n] = project_all(self.conditions, n, int(self.bundle.nodes.bits[n]), tuple(v[n]))
         start[1, :n_nodes, :dim] = v
+        return start
+
+    def _still_state(self) -> Array:
+        """Return a state (2, M + E + H, 4) without displacement and motion, with the histories of bodies at rest."""
+        histories = [rows_of_state(self.bundle.q, each.first) for each in self.histories]
+        rows = self._rows_of_motion() + sum(each.shape[1] for each in histories)
+        start = aligned((2, rows, 4), self.model.real)
+        for own in histories:
+            start[:, self._rows_of_motion() :] = own
         return start
 
     def _rows_of_motion(self) -> int:

@@ -64,9 +64,8 @@ class Equilibrium:
     """
 
     def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0, slow: bool = False) -> None:
-        if model.layout.history:
-            names = ", ".join(field.name for field in model.layout.history)
-            raise ValueError(f"a material with a history ({names}) has no equilibrium of its own")
+        if lasting := [name for group in model.groups for name in group.lasting]:
+            raise ValueError(f"a material with a history ({', '.join(lasting)}) has no equilibrium of its own")
         alone = replace(model, surface=None, obstacles=(), reactions=())  # contact is not felt at rest
         self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
         self.control, self.run = control, self.rollout.bundle
@@ -173,7 +172,13 @@ class Equilibrium:
 
     def state(self, u: Array) -> State:
         """Return the state of the particles at a displacement, at rest."""
-        return self.rollout.unpack(np.stack([u, self.still]), 0)
+        return self.rollout.unpack(self._at(u), 0)
+
+    def _at(self, u: Array) -> Array:
+        """Return the state of the nodes (2, M + H, 4) at rest at a displacement; histories have faded."""
+        state = np.zeros_like(self.rollout.start)
+        state[0, : self.n_nodes] = u
+        return state
 
     def record(self, u: Array) -> Array:
         """Return the probe's sums (rows, K) at a displacement."""
@@ -212,7 +217,7 @@ class Equilibrium:
             held_bar: of forces and moments in `held_by`, by boundary.
             tolerance: relative residual of the adjoint's linear system.
         """
-        self.rollout.final = np.stack([u, self.still])
+        self.rollout.final = self._at(u)
         back = ReferenceBackward(self.rollout, LossBar(final=state_bar), reverses=False)
         if record_bar is not None:
             back._add_record(back.q_bar, record_bar)
@@ -227,7 +232,7 @@ class Equilibrium:
         self, u: Array, u_bar: Array, f_bar: Array | None = None, *, tolerance: float = 1e-10
     ) -> tuple[Inputs, AdjointSolve]:
         """Return the cotangent of the inputs at an equilibrium, from those of displacements and net forces (M, 4)."""
-        self.rollout.final = np.stack([u, self.still])
+        self.rollout.final = self._at(u)
         back = ReferenceBackward(self.rollout, LossBar(), reverses=False)
         loss_bar = u_bar.copy()
         self.linearise(u)

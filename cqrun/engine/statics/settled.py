@@ -17,7 +17,6 @@ from cqrun.engine.reference.backward import ReferenceBackward
 from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.errors import RunError
-from cqrun.numerics.packed import aligned
 from cqrun.plugin.contract import Array
 from cqrun.state import ParticleFields, State
 
@@ -41,7 +40,7 @@ class SettledRollout(ReferenceRollout):
                 f"`start: equilibrium`: no equilibrium was found under the first loads (residual {rest.residual:.1e}); "
                 "`cqrun rest` shows how far a path of loads gets"
             )
-        start = aligned((2, self._rows_of_motion(), 4), model.real)
+        start = self._still_state()
         start[0, : self.rest.patches.n_nodes] = rest.u
         self.free_start = np.zeros((self.rest.patches.n_nodes, model.dim))
         return start

@@ -13,13 +13,13 @@ The hash is that of the scene, the job and the points.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from cqrun.errors import SceneError, UsageError
-from cqrun.explain import listed
+from cqrun.explain import listed, suggest
 from cqrun.jobs.job import Job
 from cqrun.jobs.studies.axes import Point, Sampling, axis_of, points_of
 from cqrun.jobs.studies.members import INFEASIBLE, Executor, command_of, has_ended
@@ -33,6 +33,7 @@ from cqrun.running.tables import number, table
 from cqrun.running.threads import cores
 from cqrun.scene.keypath import shortest
 from cqrun.scene.load import load_scene
+from cqrun.scene.paths import leaf
 from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
@@ -109,7 +110,8 @@ def run_sweep(
     path = make_below(out, given.stem) / f"sweep-{_digest(given, job, points)}.json"
     executor.run(members, "runs", f"{len(members)} runs of {job.name}, {at_once} at once", talk)
     good = sum(member.failure is None for member in members)
-    sweep = _summary(given.stem, job, points, names, members)
+    units = _units(job.read(source, _overrides(overrides, points[0]), Silent()).scene, names)
+    sweep = _summary(given.stem, job, points, units, members)
     write_study(path, sweep)
     write_table(path.with_suffix(".csv"), table_rows(sweep))
     if talk.stop.asked and good < len(points):
@@ -177,7 +179,7 @@ def _members(
     for k, point in enumerate(points, start=1):
         talk.phase(f"checking point {k} of {len(points)}")
         label = ", ".join(f"{labels[path]}={value}" for path, value in point.items())
-        own = [*overrides, *(f"{path}={value}" for path, value in point.items())]
+        own = _overrides(overrides, point)
         try:
             given = job.read(source, own, Silent())
             scene = job.prepare(given.scene, 1, Silent(), given.files).built
@@ -199,6 +201,10 @@ def _inputs(given: Source, scene: Scene, job: Job[Any, Any]) -> RunScene:
     return run_scene(given.stem, scene, job=job.name, with_data=job.reads_data(scene), files=given.files)
 
 
+def _overrides(overrides: Sequence[str], point: Point) -> list[str]:
+    return [*overrides, *(f"{path}={value}" for path, value in point.items())]
+
+
 def _digest(given: Source, job: Job[Any, Any], points: Sequence[Point]) -> str:
     """Return the hash of what is given, the job and the points."""
     digest = _inputs(given, given.scene, job).digest()
@@ -209,9 +215,9 @@ def _digest(given: Source, job: Job[Any, Any], points: Sequence[Point]) -> str:
 
 
 def _summary(
-    stem: str, job: Job[Any, Any], points: Sequence[Point], names: Sequence[str], members: Sequence[Member]
+    stem: str, job: Job[Any, Any], points: Sequence[Point], axes: Mapping[str, str | None], members: Sequence[Member]
 ) -> Sweep:
-    """Return the runs of all points with what they found."""
+    """Return the runs of all points with what they found; `axes` has the unit of each axis, None if it is no number."""
     runs, units = [], dict[str, str]()
     for point, member in zip(points, members, strict=True):
         quantities = found_in(job, member.run) if has_ended(member) else {}
@@ -222,7 +228,20 @@ def _summary(
             found={name: quantity.value for name, quantity in quantities.items()},
         ))  # fmt: skip
     found = {name: Found(unit=unit) for name, unit in units.items()}
-    return Sweep(scene=stem, job=job.name, axes=list(names), found=found, runs=runs)
+    given = {path: unit for path, unit in axes.items() if unit is not None}
+    return Sweep(scene=stem, job=job.name, axes=list(axes), units=given, found=found, runs=runs)
+
+
+def _units(scene: Scene, paths: Sequence[str]) -> dict[str, str | None]:
+    """Return the unit of the number at each key path: empty for a pure number, None if there is no number."""
+    units: dict[str, str | None] = {}
+    for path in paths:
+        try:
+            unit = leaf(scene, path).unit
+            units[path] = "" if unit == "1" else unit
+        except SceneError:
+            units[path] = None
+    return units
 
 
 def found_in(job: Job[Any, Any], run: Path) -> dict[str, Quantity]:
@@ -243,25 +262,30 @@ def found_in(job: Job[Any, Any], run: Path) -> dict[str, Quantity]:
 
 def table_rows(sweep: Sweep) -> Iterator[list[object]]:
     """Yield the rows of sweep.csv."""
-    yield [*sweep.axes, "status", *(_titled(name, of) for name, of in sweep.found.items()), "run", "reason"]
+    yield [*sweep.axes, "status", *(_titled(name, of.unit) for name, of in sweep.found.items()), "run", "reason"]
     for run in sweep.runs:
         values = [run.values[path] for path in sweep.axes]
         yield [*values, run.status, *(run.found.get(name) for name in sweep.found), run.run, run.reason]
 
 
-def _titled(name: str, of: Found) -> str:
-    return f"{name} [{of.unit}]" if of.unit else name
+def _titled(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name
 
 
 # --- the report -------------------------------------------------------------------------------------------------------
 
 
-def sweep_lines(path: Path) -> list[str]:
-    """Return a sweep as lines for a terminal."""
+def sweep_lines(path: Path, show: Sequence[str] = ()) -> list[str]:
+    """Return a sweep as lines for a terminal.
+
+    Args:
+        show: names of the numbers in the table; if no run found any, at most `MOST_COLUMNS` of those that differ.
+    """
     sweep = read_sweep(path)
     failed = [run for run in sweep.runs if run.status == "failed"]
-    columns = sweep.varying()[:MOST_COLUMNS]
-    head = (*shortest(sweep.axes), *(_titled(name, sweep.found[name]) for name in columns), "status")
+    columns = [name for name in show if name in sweep.found] or sweep.varying()[:MOST_COLUMNS]
+    titles = sweep.titles()
+    head = (*(_titled(titles[name], sweep.unit(name)) for name in (*sweep.axes, *columns)), "status")
     rows = [
         (*(run.values[path] for path in sweep.axes), *(_cell(run.found.get(name)) for name in columns), run.status)
         for run in sweep.runs[:MOST_ROWS]
@@ -275,6 +299,13 @@ def sweep_lines(path: Path) -> list[str]:
     picture = path.with_suffix(".png")
     lines += ["", f"picture: {picture}"] if picture.is_file() else [""]
     return [*lines, f"sweep: {path.with_suffix('.csv')}"]
+
+
+def require_found(sweep: Sweep, names: Sequence[str]) -> None:
+    """Raise a UsageError if no run found a number of a name."""
+    if unknown := next((name for name in names if name not in sweep.found), None):
+        near = suggest(unknown, sweep.found)
+        raise UsageError(f"--show {unknown}: no run found it{near}; there are {listed(sweep.found)}")
 
 
 def _cell(value: float | None) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from small_beam import Listener, assert_same
 from small_finger import written
 from tiny_beam import BEAM, NU, E
@@ -17,7 +19,8 @@ from typer.testing import CliRunner
 import cqrun
 from cqrun.cli.app import app
 from cqrun.errors import SceneError, Stopped, UsageError
-from cqrun.figures.sweep import draw_sweep
+from cqrun.figures.style import styled
+from cqrun.figures.sweep import _figure, draw_sweep
 from cqrun.jobs.control import run_control
 from cqrun.jobs.rest import REST
 from cqrun.jobs.simulate import run_simulate
@@ -173,8 +176,8 @@ def test_a_stopped_sweep_tells_how_many_are_finished(swept, tmp_path):
 # --- pictures ---------------------------------------------------------------------------------------------------------
 
 
-def made(values, found):
-    """Return a sweep of made-up numbers: `values` by axis, `found` by name, one entry per run."""
+def made(values, found, units=None):
+    """Return a sweep of made-up numbers: `values` by axis, `found` by name, one entry per run; `units` of axes."""
     count = len(next(iter(values.values())))
     runs = [
         SweptRun(
@@ -183,7 +186,8 @@ def made(values, found):
         )
         for k in range(count)
     ]  # fmt: skip
-    return Sweep(scene="s", job="rest", axes=list(values), found={name: Found(unit="m") for name in found}, runs=runs)
+    known = {name: Found(unit="m") for name in found}
+    return Sweep(scene="s", job="rest", axes=list(values), units=units, found=known, runs=runs)
 
 
 KINDS = {
@@ -217,3 +221,87 @@ def test_an_unknown_number_is_refused_with_the_known_ones(tmp_path):
     write_study(path, KINDS["a map"])
     with pytest.raises(UsageError, match="--show z: no run found it; there are x"):
         draw_sweep(path, ["z"])
+
+
+STIFFNESS = "actuators.{}.cable.stiffness"
+
+
+def panels_of(sweep, names):
+    """Return the panels of the picture of a sweep, laid out."""
+    with styled():
+        figure = _figure(sweep, names)
+        FigureCanvasAgg(figure).draw()
+    return figure.axes
+
+
+def words_of(panel):
+    """Return the texts of both axes' ticks, without empty ones."""
+    return [text.get_text() for axis in (panel.xaxis, panel.yaxis) for text in axis.get_ticklabels() if text.get_text()]
+
+
+def test_axes_have_units_and_short_numbers():
+    sweep = made({E: ["3.0e4", "5.0e4", "1.0e5", "5.0e5"]}, {"tip.x": [0.01, 0.02, 0.03, 0.04]}, {E: "Pa"})
+    (panel,) = panels_of(sweep, ["tip.x"])
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("youngs_modulus [kPa]", "tip.x [mm]")
+    assert {"100", "400"} <= set(words_of(panel))
+
+
+def test_the_numbers_of_a_map_are_short_and_have_units():
+    values = {E: ["3.0e4", "3.0e4", "1.0e5", "1.0e5"], STIFFNESS.format("a"): ["1.0e6", "2.0e6"] * 2}
+    sweep = made(values, {"x": [1.0, 2.0, 3.0, 4.0]}, {E: "Pa", STIFFNESS.format("a"): "N/m"})
+    panel, bar = panels_of(sweep, ["x"])
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("youngs_modulus [kPa]", "stiffness [N/m]")
+    assert words_of(panel) == ["30", "100", "1e6", "2e6"]
+    assert bar.get_ylabel() == "x [m]"
+
+
+def test_long_names_of_vertical_scales_do_not_overlap():
+    paths = [STIFFNESS.format(side) for side in ("left_tendon", "right_tendon", "upper_tendon")]
+    sweep = made({path: ["1.0e6", "2.0e6"] for path in paths}, {"clamp.largest_force_at_once": [1.0, 2.0]})
+    (panel,) = panels_of(sweep, ["clamp.largest_force_at_once"])
+    boxes = [label.get_window_extent() for label in panel.get_xticklabels()]
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
+
+
+def test_long_values_stay_beside_their_map():
+    laws = [f"{{{law}: {{youngs_modulus: 3.0e4, poissons_ratio: 0.3}}}}" for law in ("neo_hookean", "fixed_corotated")]
+    sweep = made({E: ["1", "1", "2", "2"], "law": laws * 2}, {"x": [1.0, 2.0, 3.0, 4.0]})
+    panel, _ = panels_of(sweep, ["x"])
+    assert min(text.get_window_extent().x0 for text in panel.get_yticklabels()) > 0.0
+    assert len({text.get_text() for text in panel.get_yticklabels()}) == 2
+
+
+def test_values_that_agree_in_their_short_text_stay_apart():
+    beginning = "a_folder/of_shapes/with_long_names/"
+    sweep = made(
+        {"a": ["1", "1", "2", "2"], "b": [f"{beginning}{beginning}{end}" for end in "pq"] * 2}, {"x": [1.0] * 4}
+    )
+    panel, _ = panels_of(sweep, ["x"])
+    assert len({text.get_text() for text in panel.get_yticklabels()}) == 2
+
+
+def test_key_paths_that_were_found_are_short():
+    sweep = made({"seed": ["0", "1"]}, {E: [1.0, 2.0], NU: [1.0, 2.0], "tip.x.end": [1.0, 2.0]})
+    assert list(sweep.titles().values()) == ["seed", "youngs_modulus", "poissons_ratio", "tip.x.end"]
+
+
+def test_differences_of_rounding_are_not_shown():
+    sweep = made({"a": ["1", "2"]}, {"tip.x.largest": [0.0, 2e-16], "tip.x.end": [-0.1, -0.2], "force": [0.0, 2e-16]})
+    assert sweep.varying() == ["tip.x.end", "force"]
+
+
+def test_the_table_shows_what_the_picture_shows(swept):
+    _, path, _ = swept
+    assert read_sweep(path).units == {E: "Pa", NU: ""}
+    head = sweep_lines(path, ["beam.largest_deflection"])[2]
+    assert head.split("  ")[:3] == ["youngs_modulus [Pa]", "poissons_ratio", "beam.largest_deflection [m]"]
+    assert "beam.deflection" in sweep_lines(path)[2]
+
+
+def test_an_unknown_number_is_refused_without_pictures_too(swept, monkeypatch):
+    folder, _, _ = swept
+    monkeypatch.setenv("CQRUN_PICTURES", "0")
+    words = ["sweep", str(folder / "beam.yaml"), "-s", f"{E}=4e4,8e4", "-s", f"{NU}=0.2:0.4:2", "--show", "deflection"]
+    result = CliRunner().invoke(app, [*words, "--out", str(folder / "out"), "-q"])
+    assert isinstance(result.exception, UsageError)
+    assert "--show deflection: no run found it" in str(result.exception)

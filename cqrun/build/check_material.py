@@ -1,0 +1,80 @@
+"""Check materials before a run: laws that lose stability, and stresses that relax too fast or too slowly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from cqrun.build.history import fields_of
+from cqrun.errors import Problem
+from cqrun.materials.curves import stable_to
+from cqrun.materials.moduli import moduli_of
+from cqrun.scene.body import Body
+from cqrun.scene.schema import Scene
+
+STABLE = 2.0
+"""A law that loses stability below this stretch is warned about: soft robots stretch so far."""
+
+LONG = 100.0
+"""A branch that relaxes in a run by less than 1 % is warned about."""
+
+
+def material_warnings(scene: Scene) -> Iterator[Problem]:
+    """Yield warnings about laws that are unstable in tension, and about relaxation times."""
+    for name, body in scene.bodies.items():
+        for path, message in (*_unstable(body), *_out_of_time(scene, body)):
+            where = f"bodies.{name}.material.{path}"
+            yield Problem(scene.where(where), where, message)
+
+
+def too_coarse(scene: Scene) -> Iterator[Problem]:
+    """Yield the problem that float32 loses a stress that relaxes slowly."""
+    slow = [
+        name for name, body in scene.bodies.items() for term in body.material.terms.values() if _relaxes(term, scene)
+    ]
+    if scene.precision == "float32" and slow:
+        message = (
+            f"is float32, but the stress of '{slow[0]}' relaxes in each substep by less than its last digit there: use "
+            "float64"
+        )
+        yield Problem(scene.where("precision"), "precision", message)
+
+
+def _relaxes(term: Any, scene: Scene) -> bool:
+    return bool(term.relaxes and fields_of(term, scene.dim))
+
+
+def _unstable(body: Body) -> Iterator[tuple[str, str]]:
+    """Yield a law with a test in which its force falls while it is stretched (Drucker)."""
+    elastic = body.material.elastic
+    law: Any = elastic.value
+    if moduli_of(law) is None:
+        return
+    stable = stable_to(law, np.array([getattr(law, name) for name in law.parameters]))
+    mode, end = min(stable.items(), key=lambda item: item[1])
+    if end < STABLE:
+        yield (
+            f"elastic.{elastic.name}",
+            f"has its largest force in {mode} tension at a stretch of {end:.3g}: a body that is stretched farther "
+            "gives way at once; check the numbers, or keep below that stretch",
+        )
+
+
+def _out_of_time(scene: Scene, body: Body) -> Iterator[tuple[str, str]]:
+    """Yield relaxation times that are shorter than a substep, or much longer than the run."""
+    if scene.time is None or scene.time.substeps == "auto":
+        return
+    dt = scene.time.control_step / int(scene.time.substeps)
+    for key, term in body.material.terms.items():
+        times = getattr(term, "times", ()) if term.relaxes else ()  # type: ignore[attr-defined]  # a term, by its kind
+        for k, time in enumerate(times, 1):
+            if time < dt:
+                yield f"{key}.time_{k}", f"{time:g} s is shorter than a substep of {dt:.3g} s: the branch has no effect"
+            elif time > LONG * scene.time.duration:
+                yield (
+                    f"{key}.time_{k}",
+                    f"{time:g} s is more than {LONG:g} times as long as the run: the branch only makes the body "
+                    "stiffer",
+                )

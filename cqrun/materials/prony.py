@@ -1,0 +1,321 @@
+"""A stress that relaxes: Simo's finite linear viscoelasticity, as finite-element programs have it.
+
+The elastic law is the material's answer after a long time. Each branch i, with a ratio g_i and a time t_i, adds a
+stress H_i that follows the changes of S, the law's second Piola-Kirchhoff stress without that of the volume, and fades:
+
+    tau = F (sum_i H_i) F^T,   H_i' = exp(-dt/t_i) H_i + g_i exp(-dt/(2 t_i)) (S(F') - S(F)),
+
+    S = F^-1 (tau_elastic - J U'(J) I) F^-T
+
+(Simo, Comput. Methods Appl. Mech. Eng. 60, 1987; Simo and Hughes, Computational Inelasticity, 1998, section 10.3). H is
+symmetric, in the reference configuration, and zero at rest. At once the material is 1 + sum_i g_i times as stiff. H is
+linear in its past, so its adjoint is short.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+from numba.extending import overload, register_jitable
+from pydantic import PrivateAttr, model_validator
+
+from cqrun.explain import complaint, finding
+from cqrun.materials.term import (
+    MaterialTerm,
+    add_rows,
+    kirchhoff,
+    kirchhoff_vjp,
+    register_with_history,
+    volume_slope,
+    volume_slope_vjp,
+    written_tuple,
+    zeros_like_rows,
+)
+from cqrun.numerics.compile import written
+from cqrun.numerics.elementary import exponential
+from cqrun.numerics.symmetric import from_rows, from_rows_vjp, to_rows, to_rows_vjp
+from cqrun.numerics.tensor import add, cofactor, det, mul, mul_at, mul_bt, plus_diagonal, scale, symmetric, trace
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
+from cqrun.state import StateField
+
+MOST = 5
+"""Largest number of branches."""
+
+
+class PronyKernel(NamedTuple):
+    """Kernels' view: rows g_1, t_1 [s], ..., then those of the elastic law, whose view is `base`.
+
+    `branches` has an entry for each branch, and `history` the rows of all H.
+    """
+
+    theta: Array
+    rows: tuple[int, ...]
+    history: tuple[int, ...]
+    branches: tuple[int, ...]
+    base: Any
+
+
+@plugin("material_term", "prony")
+class Prony(MaterialTerm):
+    """A stress that relaxes, in one to five branches: silicone is stiffer in a fast motion than at rest.
+
+    The elastic law is the answer after a long time, in motion as well as in an equilibrium. A sudden change meets
+    1 + ratio_1 + ratio_2 + ... times its stiffness, and each part fades with its time. The part of the law that depends
+    on the volume alone does not relax. A branch adds 6 numbers to the state of each particle (2D: 3).
+    """
+
+    relaxes: ClassVar[bool] = True
+    ratio_1: float = quantity("1", "Stiffness of branch 1, relative to the law's", differentiable=True, ge=0)
+    time_1: float = quantity("s", "Relaxation time of branch 1", differentiable=True, gt=0)
+    ratio_2: float | None = quantity("1", "Stiffness of branch 2", differentiable=True, ge=0, default=None)
+    time_2: float | None = quantity("s", "Relaxation time of branch 2", differentiable=True, gt=0, default=None)
+    ratio_3: float | None = quantity("1", "Stiffness of branch 3", differentiable=True, ge=0, default=None)
+    time_3: float | None = quantity("s", "Relaxation time of branch 3", differentiable=True, gt=0, default=None)
+    ratio_4: float | None = quantity("1", "Stiffness of branch 4", differentiable=True, ge=0, default=None)
+    time_4: float | None = quantity("s", "Relaxation time of branch 4", differentiable=True, gt=0, default=None)
+    ratio_5: float | None = quantity("1", "Stiffness of branch 5", differentiable=True, ge=0, default=None)
+    time_5: float | None = quantity("s", "Relaxation time of branch 5", differentiable=True, gt=0, default=None)
+
+    _law: Any = PrivateAttr(default=None)
+
+    @model_validator(mode="after")
+    def _whole_branches(self) -> Self:
+        given = [tuple(getattr(self, f"{name}_{k}") is not None for name in ("ratio", "time")) for k in _EVERY]
+        findings = [
+            finding(f"branch {k} needs both ratio_{k} and time_{k}", (f"{'time' if ratio else 'ratio'}_{k}",))
+            for k, (ratio, time) in zip(_EVERY, given, strict=True)
+            if ratio != time
+        ]
+        count = sum(map(all, given))
+        if not findings and not all(map(all, given[:count])):
+            findings.append(finding(f"number the {count} branches from 1 on, without gaps", (f"ratio_{count + 1}",)))
+        if findings:
+            raise complaint("Prony", findings)
+        return self
+
+    def bind(self, law: Any) -> None:
+        self._law = law
+
+    @property
+    def n_branches(self) -> int:
+        """The number of branches."""
+        return sum(getattr(self, f"ratio_{k}") is not None for k in _EVERY)
+
+    @property
+    def times(self) -> tuple[float, ...]:
+        """The relaxation times [s]."""
+        return tuple(float(getattr(self, f"time_{k}")) for k in range(1, self.n_branches + 1))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The rows of theta: those of the branches, then the law's."""
+        own = (f"{name}_{k}" for k in range(1, self.n_branches + 1) for name in ("ratio", "time"))
+        return (*own, *(() if self._law is None else self._law.parameters))
+
+    def kernel_term(self, theta: Array) -> PronyKernel:
+        n = self.n_branches
+        return PronyKernel(theta, (0,) * len(self.parameters), (), (0,) * n, self._law.kernel_term(theta))
+
+    def history(self, dim: int) -> tuple[StateField, ...]:
+        rows = dim * (dim + 1) // 2
+        meaning = "stress that relaxes, in the reference configuration: diagonal first"
+        return tuple(
+            StateField(f"H_{k}", (rows,), (0.0,) * rows, "Pa", f"{meaning} (branch {k})")
+            for k in range(1, self.n_branches + 1)
+        )
+
+    def wave_modulus(self, theta: Array) -> Array:  # type: ignore[override]
+        """Return 4/3 mu times the sum of the ratios [Pa], shape (n,)."""
+        n = 2 * self.n_branches
+        return np.asarray(4.0 / 3.0 * self._law.shear_modulus(theta[n:]) * theta[:n:2].sum(axis=0))
+
+
+_EVERY = range(1, MOST + 1)
+
+
+# --- parts of theta and of the history --------------------------------------------------------------------------------
+
+
+def law_rows(theta: Any, branches: Any) -> Any:
+    """Return the rows of the elastic law."""
+    return theta[2 * len(branches) :]
+
+
+@overload(law_rows)
+def _law_rows(theta, branches):
+    begin, count = 2 * len(branches), len(theta) - 2 * len(branches)
+    entries = "".join(f"theta[{begin + r}], " for r in range(count))
+    return written(f"lambda theta, branches: ({entries})")
+
+
+def in_branches(function: Any, name: str, arguments: str) -> Any:
+    """Return the function that joins function(ratio, time, k, ...) of all branches, k its number, to one tuple."""
+
+    def every(theta: Any, branches: Any, *given: Any) -> Any:
+        parts = [function(theta[2 * k], theta[2 * k + 1], k, *given) for k in range(len(branches))]
+        return tuple(entry for part in parts for entry in part)
+
+    def compiled(branches: Any) -> Any:
+        parts = [f"one(theta[{2 * k}], theta[{2 * k + 1}], {k}, {arguments})" for k in range(len(branches))]
+        return written(f"lambda theta, branches, {arguments}: {' + '.join(parts)}", {"one": one})
+
+    one = register_jitable(function)
+    scope: dict[str, Any] = {"every": every, "compiled": compiled}
+    exec(f"def {name}(theta, branches, {arguments}):\n    return every(theta, branches, {arguments})", scope)
+    exec(f"def choose(theta, branches, {arguments}):\n    return compiled(branches)", scope)
+    overload(scope[name])(scope["choose"])
+    return scope[name]
+
+
+def branch(h: Any, k: int, rows: Any) -> Any:
+    """Return the rows of branch k of a history, as many as `rows` has."""
+    n = len(rows)
+    return tuple(h[k * n + r] for r in range(n))
+
+
+@overload(branch)
+def _branch(h, k, rows):
+    return written("lambda h, k, rows: " + written_tuple(f"h[k * {len(rows)} + {{r}}]", len(rows)))
+
+
+def summed(h: Any, branches: Any) -> Any:
+    """Return the sum over the branches of the rows of their H."""
+    n = len(h) // len(branches)
+    return tuple(sum(h[k * n + r] for k in range(len(branches))) for r in range(n))
+
+
+@overload(summed)
+def _summed(h, branches):
+    n = len(h) // len(branches)
+    entries = ", ".join(" + ".join(f"h[{k * n + r}]" for k in range(len(branches))) for r in range(n))
+    return written(f"lambda h, branches: ({entries},)")
+
+
+def repeated(rows: Any, branches: Any) -> Any:
+    """Return a tuple as often as there are branches, one after the other."""
+    return rows * len(branches)
+
+
+@overload(repeated)
+def _repeated(rows, branches):
+    return written(f"lambda rows, branches: {' + '.join(['rows'] * len(branches))}")
+
+
+# --- stress -----------------------------------------------------------------------------------------------------------
+
+
+def stress(term: Any, theta: Any, F: Any, C: Any, h: Any) -> Any:
+    """Return tau."""
+    return mul_bt(mul(F, from_rows(summed(h, term.branches))), F)
+
+
+def stress_vjp(term: Any, theta: Any, F: Any, C: Any, h: Any, tau_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, C_bar, h_bar)."""
+    H, bar = from_rows(summed(h, term.branches)), symmetric(tau_bar)
+    H_bar = mul(mul_at(F, bar), F)
+    F_bar = scale(mul(mul(bar, F), H), 2.0)
+    return zeros_like_rows(theta), F_bar, zeros_like_rows(F), repeated(to_rows_vjp(H_bar), term.branches)
+
+
+# --- the history ------------------------------------------------------------------------------------------------------
+
+
+@register_jitable
+def shape_stress(term: Any, theta: Any, F: Any) -> Any:
+    """Return S, the law's second Piola-Kirchhoff stress without that of the volume, as rows."""
+    J = det(F)
+    tau = kirchhoff(term.base, theta, F, zeros_like_rows(F), ())
+    tau = plus_diagonal(tau, -J * volume_slope(term.base, theta, J))
+    K = scale(cofactor(F), 1.0 / J)  # F^-T
+    return to_rows(mul(mul_at(K, tau), K))
+
+
+@register_jitable
+def shape_stress_vjp(term: Any, theta: Any, F: Any, S_bar: Any) -> Any:
+    """Return (theta_bar, F_bar) for the cotangent of the rows of S."""
+    J, zero = det(F), zeros_like_rows(F)
+    pressure = volume_slope(term.base, theta, J)
+    tau = plus_diagonal(kirchhoff(term.base, theta, F, zero, ()), -J * pressure)
+    K, bar = scale(cofactor(F), 1.0 / J), from_rows_vjp(S_bar)
+    tau_bar = mul_bt(mul(K, bar), K)
+    # S = K^T tau K with K = F^-T, dK = -K dF^T K
+    K_bar = scale(mul(mul(tau, K), bar), 2.0)
+    F_bar = scale(mul(K, mul_at(K_bar, K)), -1.0)
+    by_law, tr = kirchhoff_vjp(term.base, theta, F, zero, (), tau_bar), trace(tau_bar)
+    by_volume, J_bar = volume_slope_vjp(term.base, theta, J, -tr * J)
+    F_bar = add(add(F_bar, by_law[1]), scale(cofactor(F), J_bar - tr * pressure))
+    return add_rows(by_law[0], by_volume), F_bar
+
+
+def branch_update(ratio: Any, time: Any, k: int, h: Any, change: Any, dt: Any) -> Any:
+    """Return H of branch k after a substep in which S changes."""
+    half = exponential(-0.5 * dt / time)
+    return add_rows(scale_rows(branch(h, k, change), half * half), scale_rows(change, ratio * half))
+
+
+def branch_vjp(ratio: Any, time: Any, k: int, h: Any, change: Any, dt: Any, bars: Any) -> Any:
+    """Return the cotangents of the ratio and of the time of branch k."""
+    half, bar = exponential(-0.5 * dt / time), branch(bars, k, change)
+    along, faded = dot_rows(bar, change) * half, dot_rows(bar, branch(h, k, change)) * half * half
+    return along, (faded + 0.5 * ratio * along) * dt / (time * time)
+
+
+def branch_fades(ratio: Any, time: Any, k: int, change: Any, dt: Any, bars: Any) -> Any:
+    """Return the cotangent of H of branch k before the substep."""
+    half = exponential(-0.5 * dt / time)
+    return scale_rows(branch(bars, k, change), half * half)
+
+
+def branch_pulls(ratio: Any, time: Any, k: int, change: Any, dt: Any, bars: Any) -> Any:
+    """Return the cotangent of the change of S through branch k."""
+    return scale_rows(branch(bars, k, change), ratio * exponential(-0.5 * dt / time))
+
+
+def scale_rows(a: Any, s: Any) -> Any:
+    """Return the entries of a tuple times a number."""
+    return tuple(entry * s for entry in a)
+
+
+@overload(scale_rows)
+def _scale_rows(a, s):
+    return written("lambda a, s: " + written_tuple("a[{r}] * s", len(a)))
+
+
+def dot_rows(a: Any, b: Any) -> Any:
+    """Return the sum of the products of the entries of two tuples."""
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+@overload(dot_rows)
+def _dot_rows(a, b):
+    return written("lambda a, b: " + " + ".join(f"a[{r}] * b[{r}]" for r in range(len(a))))
+
+
+updates = in_branches(branch_update, "updates", "h, change, dt")
+branches_vjp = in_branches(branch_vjp, "branches_vjp", "h, change, dt, bars")
+fades = in_branches(branch_fades, "fades", "change, dt, bars")
+pulls = in_branches(branch_pulls, "pulls", "change, dt, bars")
+
+
+def update(term: Any, theta: Any, F: Any, F_next: Any, h: Any, dt: Any) -> Any:
+    """Return h after a substep."""
+    law = law_rows(theta, term.branches)
+    before, after = shape_stress(term, law, F), shape_stress(term, law, F_next)
+    return updates(theta, term.branches, h, add_rows(after, scale_rows(before, -1.0)), dt)
+
+
+def update_vjp(term: Any, theta: Any, F: Any, F_next: Any, h: Any, dt: Any, h_next_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, F_next_bar, h_bar)."""
+    law = law_rows(theta, term.branches)
+    before, after = shape_stress(term, law, F), shape_stress(term, law, F_next)
+    change = add_rows(after, scale_rows(before, -1.0))
+    S_bar = summed(pulls(theta, term.branches, change, dt, h_next_bar), term.branches)
+    law_bar, F_next_bar = shape_stress_vjp(term, law, F_next, S_bar)
+    law_before, F_bar = shape_stress_vjp(term, law, F, scale_rows(S_bar, -1.0))
+    theta_bar = branches_vjp(theta, term.branches, h, change, dt, h_next_bar) + add_rows(law_bar, law_before)
+    return theta_bar, F_bar, F_next_bar, fades(theta, term.branches, change, dt, h_next_bar)
+
+
+register_with_history(PronyKernel, stress, stress_vjp, update, update_vjp, rate=False)
