@@ -29,6 +29,9 @@ FINE, COARSE, CAREFUL = 2, 40, 100
 SAME = 1e-3
 """Ends whose sums of squares differ by less than this part are one."""
 
+LARGEST_EXPONENT = 30.0
+"""With larger exponents a term is a step, and its modulus a number that no scene can have."""
+
 TRIES = 60
 """Random values of a law whose stress is not finite at the data are drawn again so many times."""
 
@@ -172,6 +175,8 @@ def _with_moduli(law: Law, curves: Sequence[Curve], values: Array, scale: float)
     """Return values with the moduli that fit best, in which the stress is linear; None if it is not finite."""
     from scipy.optimize import nnls
 
+    if any(abs(values[k]) > LARGEST_EXPONENT for k in law.exponents.values()):
+        return None
     moduli = _moduli(law)
     unit = np.array([scale / (values[law.exponents[k]] or 1e-9) if k in law.exponents else scale for k in moduli])
     units = np.tile(values, (len(moduli), 1))

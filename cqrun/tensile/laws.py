@@ -27,8 +27,9 @@ VOLUME = ("bulk_modulus", "poissons_ratio")
 """Parameters that are not fitted."""
 
 NU = 0.4999
-SMALLEST, LARGEST = 1e-9, 20.0
-"""A positive number is at least so large, in units of its scale, and its logarithm at most so far from 0."""
+SMALLEST, LOWEST, HIGHEST = 1e-40, -95.0, 20.0
+"""The smallest positive number in units of its scale (a term with a large exponent has a tiny modulus), and limits of
+the logarithm."""
 
 _ANY = 2.0
 """A value that every parameter of a law may have: the kernels' view needs some."""
@@ -60,7 +61,7 @@ class Parameter:
 
     def from_free(self, free: float, scale: float) -> float:
         """Return the parameter for the number that an optimizer moves."""
-        value = free if self.least is None else self.least + float(np.exp(np.clip(free, -LARGEST, LARGEST)))
+        value = free if self.least is None else self.least + float(np.exp(np.clip(free, LOWEST, HIGHEST)))
         return value * scale if self.is_modulus else value
 
 
@@ -118,7 +119,7 @@ class Law:
         """Return the values (p,) of the parameters for the numbers that an optimizer moves."""
         values = [p.from_free(float(x), scale) for p, x in zip(self.parameters, free, strict=True)]
         for k, exponent in self.exponents.items():
-            values[k] = scale * float(np.exp(np.clip(free[k], -LARGEST, LARGEST))) / (values[exponent] or SMALLEST)
+            values[k] = scale * float(np.exp(np.clip(free[k], LOWEST, HIGHEST))) / (values[exponent] or SMALLEST)
         return np.array(values)
 
     def stress(self, values: Array, mode: Mode, stretch: Array) -> Array:

@@ -80,6 +80,14 @@ def test_numbered_fields_are_terms_and_both_terms_are_found():
     assert one_of_each(fits) == [fits[1]]  # one term leaves a much larger error
 
 
+def test_a_term_with_a_large_exponent_has_a_tiny_modulus():
+    two = ogden()[1]
+    stretch = np.linspace(1.0, 7.0, 60)
+    fit = fit_law(two, [curve(two, [4e5, 1.5, 1e-13, 22.0], stretch)])
+    assert fit.values == pytest.approx([4e5, 1.5, 1e-13, 22.0], rel=1e-2)
+    assert fit.rms < 1e-5
+
+
 def test_the_fewest_terms_that_fit_are_kept():
     one, two, _ = ogden()
     fits = [fit_law(law, [curve(one, [1e5, 2.0], STRETCH, noise=0.002)]) for law in (one, two)]
