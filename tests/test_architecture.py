@@ -27,7 +27,7 @@ FLOORS = (
     {"scene", "store"},
     {"build"},
     {"running"},
-    {"fitting", "learning"},
+    {"fitting", "learning", "tensile"},
     {"jobs"},
     {"cli", "figures", "report", "templates"},
 )

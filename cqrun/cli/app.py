@@ -20,6 +20,7 @@ from cqrun.cli.describe import describe
 from cqrun.cli.doctor import doctor
 from cqrun.cli.export import export
 from cqrun.cli.gradcheck import gradcheck
+from cqrun.cli.material import material
 from cqrun.cli.new import new
 from cqrun.cli.options import with_grids
 from cqrun.cli.plot import plot
@@ -40,7 +41,7 @@ from cqrun.version import __version__
 
 COMMANDS = (
     new, sysid, control, codesign, simulate, rest, sweep, gradcheck, resume, validate, describe, schema, plot, render,
-    report, export, compress, bench, warmup, doctor,
+    report, export, compress, material, bench, warmup, doctor,
 )  # fmt: skip
 
 app = typer.Typer(

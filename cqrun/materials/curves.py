@@ -30,7 +30,7 @@ STEP = 1e-4
 """Relative step of the differences by which slopes are found."""
 
 FARTHEST, FINE = 10.0, 400
-"""Stability is looked for up to this stretch, at so many stretches on each side of 1."""
+"""Stability is looked for up to this stretch if no other is given, at so many stretches on each side of 1."""
 
 
 def nominal_stress(spec: Any, theta: Array, mode: Mode, stretch: Array) -> Array:
@@ -62,18 +62,19 @@ def nominal_slope(spec: Any, theta: Array, mode: Mode, stretch: Array) -> Array:
     return np.asarray((8.0 * near - far) / (12.0 * h))
 
 
-def stable_range(spec: Any, theta: Array, mode: Mode) -> tuple[float, float]:
+def stable_range(spec: Any, theta: Array, mode: Mode, farthest: float = FARTHEST) -> tuple[float, float]:
     """Return the stretches around 1 between which the nominal stress grows: 0.1 and 10 if it does everywhere.
 
     Args:
         spec, theta, mode: as for `nominal_stress`, with theta (rows,).
+        farthest: the largest stretch that is looked at; 1 / farthest is the smallest.
     """
     ends = []
-    for farthest in (1.0 / FARTHEST, FARTHEST):
-        stretch = np.geomspace(1.0, farthest, FINE)
+    for end in (1.0 / farthest, farthest):
+        stretch = np.geomspace(1.0, end, FINE)
         with np.errstate(all="ignore"):
             falls = ~(nominal_slope(spec, theta, mode, stretch) > 0.0)
-        ends.append(float(stretch[np.argmax(falls)]) if falls.any() else farthest)
+        ends.append(float(stretch[np.argmax(falls)]) if falls.any() else end)
     return ends[0], ends[1]
 
 

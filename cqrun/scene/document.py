@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -157,6 +158,32 @@ def read(text: str, name: str = "scene") -> Document:
     if builder.problems:
         raise SceneError(builder.problems)
     return Document(data, name, node)
+
+
+def text_of(path: Path) -> str:
+    """Return the text of a file; no more of it is read than a scene can have.
+
+    Raises:
+        OSError: it cannot be read. SceneError: it is too long, or not UTF-8.
+    """
+    with path.open("rb") as file:
+        content = file.read(4 * MAX_CHARACTERS + 1)
+    if len(content) > 4 * MAX_CHARACTERS:  # UTF-8 has at most 4 bytes a character
+        raise SceneError([Problem(f"{path}:1:1", "", too_long(f"more than {4 * MAX_CHARACTERS:,} bytes"))])
+    try:
+        return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError as error:
+        before = content[: error.start].decode("utf-8")
+        place = place_of(before, len(before))
+        raise SceneError([Problem(f"{path}:{place}", "", _why_undecodable(content, error))]) from None
+
+
+def _why_undecodable(content: bytes, error: UnicodeDecodeError) -> str:
+    """Return what a text is instead of UTF-8."""
+    advice = "save the scene as UTF-8"
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return f"this is UTF-16 text: {advice}"
+    return f"this is not UTF-8 text: it has the byte 0x{content[error.start]:02x} here; {advice}"
 
 
 def too_long(size: str) -> str:

@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from cqrun.errors import Problem, SceneError
 from cqrun.explain import complaint
 from cqrun.scene.defaults import with_vector
-from cqrun.scene.document import MAX_CHARACTERS, Document, place_of, read, too_long, with_number, write
+from cqrun.scene.document import Document, read, text_of, with_number, write
+from cqrun.scene.fragments import with_fragments
 from cqrun.scene.keypath import is_named, locate, removed, replaced
 from cqrun.scene.origin import Origin, Override
 from cqrun.scene.paths import plain
@@ -40,6 +41,7 @@ def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = (
     data, applied = _overridden(document.data, overrides)
     origin = Origin(document, tuple(applied), path, text, base)
     try:
+        data = with_fragments(data, origin.path_of)
         if findings := findings_of_plugins(data, origin):
             raise complaint("Scene", findings)
         scene = _validated(data, path is None and not text)
@@ -81,32 +83,10 @@ def _document(source: Path | str | dict[str, Any]) -> tuple[Document, Path | Non
         return read(source), None, source
     path = Path(source)
     try:
-        text = _text_of(path)
+        text = text_of(path)
     except OSError as error:
         raise SceneError([Problem(str(path), "", f"the scene cannot be read: {_why_unread(path, error)}")]) from None
     return read(text, str(path)), path, text
-
-
-def _text_of(path: Path) -> str:
-    """Return the text of a scene's file; no more of it is read than a scene can have."""
-    with path.open("rb") as file:
-        content = file.read(4 * MAX_CHARACTERS + 1)
-    if len(content) > 4 * MAX_CHARACTERS:  # UTF-8 has at most 4 bytes a character
-        raise SceneError([Problem(f"{path}:1:1", "", too_long(f"more than {4 * MAX_CHARACTERS:,} bytes"))])
-    try:
-        return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
-    except UnicodeDecodeError as error:
-        before = content[: error.start].decode("utf-8")
-        place = place_of(before, len(before))
-        raise SceneError([Problem(f"{path}:{place}", "", _why_undecodable(content, error))]) from None
-
-
-def _why_undecodable(content: bytes, error: UnicodeDecodeError) -> str:
-    """Return what a text is instead of UTF-8."""
-    advice = "save the scene as UTF-8"
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return f"this is UTF-16 text: {advice}"
-    return f"this is not UTF-8 text: it has the byte 0x{content[error.start]:02x} here; {advice}"
 
 
 def _why_unread(path: Path, error: OSError) -> str:

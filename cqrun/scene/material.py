@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, GetJsonSchemaHandler, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from cqrun.explain import Loc
 from cqrun.plugin.choice import Choice, Chosen
@@ -27,11 +29,31 @@ class Terms(PluginKeys):
         return self.chosen
 
 
+FROM_ELSEWHERE: dict[str, Any] = {
+    "card": {"type": "string", "description": "Name of a card of cqrun (cqrun material --list), in place of `elastic`"},
+    "file": {"type": "string", "description": "File of `cqrun material` (material.yaml), in place of `elastic`"},
+    "poissons_ratio": {"type": "number", "description": "Poisson's ratio of the law of a card or file [1]"},
+    "bulk_modulus": {"type": "number", "description": "Bulk modulus of the law of a card or file [Pa]"},
+}
+"""Keys that fragments.py replaces before a scene is validated, for the JSON schema."""
+
+
 class Material(Terms):
-    """A sum of terms: `elastic` is required; every other key is the name of a term, such as `viscosity`."""
+    """A sum of terms: `elastic` is required; every other key is the name of a term, such as `viscosity`.
+
+    `card: ecoflex_00_30` (`cqrun material --list`) or `file: material.yaml` (written by `cqrun material`) gives the law
+    and what else the card or the file has. Keys beside it override it, also `poissons_ratio` and `bulk_modulus`.
+    """
 
     density: float = quantity("kg/m^3", "Density at rest", differentiable=True, gt=0)
     elastic: Annotated[Chosen[Plugin], Choice("elastic")] = Field(description="Elastic law")
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        found = super().__get_pydantic_json_schema__(schema, handler)
+        needed = [{"required": ["density", "elastic"]}, {"required": ["card"]}, {"required": ["file"]}]
+        own = {k: v for k, v in found.items() if k != "required"}
+        return own | {"properties": {**found["properties"], **FROM_ELSEWHERE}, "anyOf": needed}
 
     @model_validator(mode="after")
     def _bind_terms(self) -> Self:

@@ -73,7 +73,8 @@ def _expanded(node: Any, waiting: set[str]) -> Any:
         named = {name: _reference(f"{kind}.{name}", waiting) for name in plugins(kind)}
         result |= {"properties": {**result["properties"], **named}, "additionalProperties": False}
     if isinstance(node.get("required"), list):
-        result["required"] = [name for name in node["required"] if FILLED_MARK not in node["properties"][name]]
+        fields = node.get("properties", {})
+        result["required"] = [name for name in node["required"] if FILLED_MARK not in fields.get(name, {})]
     if "patternProperties" in result:
         result["additionalProperties"] = False  # pydantic gives the legal names, but does not forbid others
     return result

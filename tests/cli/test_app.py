@@ -32,6 +32,7 @@ NAMES = [
     "report",
     "export",
     "compress",
+    "material",
     "bench",
     "warmup",
     "doctor",

@@ -79,6 +79,14 @@ def test_a_law_that_softens_is_stable_up_to_its_largest_force():
     assert stable_to(spec, theta)["equibiaxial"] < high
 
 
+def test_stability_is_looked_for_as_far_as_asked():
+    spec, theta = law("yeoh", c10=0.5)
+    assert stable_range(spec, theta, "uniaxial", 25.0) == (1 / 25.0, 25.0)
+    falls, theta = law("yeoh", c10=0.5, c20=-1e-4)
+    assert stable_range(falls, theta, "uniaxial") == (0.1, 10.0)
+    assert 10.0 < stable_range(falls, theta, "uniaxial", 60.0)[1] < 60.0
+
+
 def test_a_law_that_stiffens_is_stable_everywhere():
     spec, theta = law("mooney_rivlin", c10=0.4, c01=0.1)
     assert stable_to(spec, theta) == dict.fromkeys(MODES, 10.0)

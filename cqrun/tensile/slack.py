@@ -1,0 +1,49 @@
+"""Slack at the start of a pull (toe): the strain at which the specimen is taut.
+
+Rubber in tension softens from rest, so every tangent near the start meets zero stress at a strain of zero or below.
+If the steepest one meets it at a positive strain, the grips have moved before the specimen was pulled (ASTM D638, annex
+A1).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cqrun.plugin.contract import Array
+
+SMALLEST, LARGEST = 0.005, 0.10
+"""Slack below the first strain is not corrected; more than the second is no slack, but the material's shape."""
+
+WINDOW, FEWEST = 0.05, 4
+"""Width of a tangent's window in strain, and the fewest points in it."""
+
+NEAR, NEAR_PART = 0.5, 0.3
+"""The start: up to this strain, and up to this part of the largest."""
+
+SURE = 3.0
+"""The slack is so many standard errors above zero."""
+
+
+def find_slack(strain: Array, stress: Array) -> float:
+    """Return the strain at which a pulled specimen is taut; 0.0 if it is from the start, or if that is uncertain.
+
+    Args:
+        strain, stress: (n,) of the first loading.
+    """
+    near = strain <= min(NEAR, NEAR_PART * float(strain.max()))
+    x, y = strain[near], stress[near]
+    steepest, taut, error = 0.0, 0.0, np.inf
+    for first in range(len(x) - FEWEST + 1):
+        last = max(first + FEWEST, int(np.searchsorted(x, x[first] + WINDOW)))
+        if last > len(x):
+            break
+        u, v = x[first:last], y[first:last]
+        spread = float(((u - u.mean()) ** 2).sum())
+        if spread == 0.0:
+            continue
+        slope = float((u - u.mean()) @ v) / spread
+        if slope > steepest:
+            steepest, taut = slope, float(u.mean() - v.mean() / slope)
+            scatter = float(((v - v.mean() - slope * (u - u.mean())) ** 2).sum()) / (len(u) - 2)
+            error = np.sqrt(scatter * (1.0 / len(u) + (u.mean() - taut) ** 2 / spread)) / slope
+    return taut if max(SMALLEST, SURE * error) < taut < LARGEST else 0.0

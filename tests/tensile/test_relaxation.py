@@ -1,0 +1,83 @@
+"""Relaxation tests: the branches that made a test are found, also with a ramp, and what it cannot tell is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made_pulls import curve, pull, write
+
+from cqrun.errors import DataError
+from cqrun.tensile.curve import Curve, Given
+from cqrun.tensile.laws import all_laws
+from cqrun.tensile.reading import read_curves
+from cqrun.tensile.relaxation import branch, fit_relaxation, is_relaxation
+
+RAMP, HELD = 0.5, 0.2
+
+
+def relaxing(moduli, times, time, ramp=RAMP, noise=0.0):
+    """Return a test that is pulled at a constant rate, and then held."""
+    strain = HELD * np.minimum(time / ramp, 1.0) if ramp else np.full(len(time), HELD)
+    stress = strain.copy()
+    for g, t in zip(moduli, times, strict=True):  # the exact answer to a ramp that ends
+        rate = HELD / ramp if ramp else 0.0
+        rising = rate * t * -np.expm1(-np.minimum(time, ramp) / t) if ramp else HELD * np.ones(len(time))
+        stress = stress + g * rising * np.exp(-np.maximum(time - ramp, 0.0) / t)
+    stress = 1e5 * stress * (1.0 + noise * np.random.default_rng(2).standard_normal(len(time)))
+    return Curve("relax.csv", "uniaxial", 1.0 + strain, stress, np.arange(len(time)), time)
+
+
+TIME = np.r_[np.linspace(0.0, 2.0, 200), np.geomspace(2.05, 1000.0, 200)]
+
+
+@pytest.mark.parametrize("ramp", [0.0, 0.5, 2.0])
+def test_the_branches_that_made_a_test_are_found(ramp):
+    fit = fit_relaxation(relaxing([0.3, 0.15], [1.5, 60.0], TIME, ramp))
+    assert fit.prony.moduli == pytest.approx([0.3, 0.15], rel=0.01)
+    assert fit.prony.times == pytest.approx([1.5, 60.0], rel=0.01)
+    assert fit.long_term == pytest.approx(1e5 * HELD, rel=1e-3)
+    assert fit.findings == ()
+    assert "instantaneous modulus = 1.45 times the long-term one" in " ".join(fit.sentences())
+
+
+def test_noise_makes_no_branches():
+    fit = fit_relaxation(relaxing([0.3, 0.15], [1.5, 60.0], TIME, noise=0.005))
+    assert len(fit.prony.times) == 2
+    assert fit.prony.moduli == pytest.approx([0.3, 0.15], rel=0.1)
+    assert fit.rms == pytest.approx(0.005, rel=0.3)
+
+
+def test_a_branch_follows_a_ramp_exactly():
+    """h' = s' - h / t with s' constant: h = s' t (1 - exp(-time / t))."""
+    time = np.linspace(0.0, 3.0, 7)
+    assert branch(time, 0.5 * time, 0.8) == pytest.approx(0.5 * 0.8 * -np.expm1(-time / 0.8), rel=1e-12)
+
+
+def test_times_longer_than_the_test_and_shorter_than_its_samples_are_told():
+    slow = fit_relaxation(relaxing([0.3], [800.0], np.linspace(0.0, 1000.0, 400)))
+    assert any("is not over at the end of the test" in text for text in slow.findings)
+    fast = fit_relaxation(relaxing([0.4, 0.2], [0.5, 100.0], np.linspace(0.0, 1000.0, 400), ramp=0.0))
+    assert any("faster than the test can tell" in text for text in fast.findings)
+
+
+def test_a_stress_that_stays_is_no_relaxation():
+    still = relaxing([], [], TIME)
+    assert not is_relaxation(still)
+    with pytest.raises(DataError, match="while the strain is held: no relaxation"):
+        fit_relaxation(still)
+
+
+def test_a_pull_test_is_no_relaxation_test(tmp_path):
+    (pulled,) = read_curves(pull(tmp_path), Given())
+    assert not is_relaxation(pulled)
+    law = all_laws(["gent"])[0]
+    assert not is_relaxation(curve(law, [1e5, 30.0], np.linspace(1.0, 2.0, 50)))
+
+
+def test_time_and_force_alone_are_a_relaxation_test(tmp_path):
+    made = relaxing([0.25], [5.0], np.linspace(0.0, 60.0, 300), ramp=0.0)
+    columns = {"Time (s)": made.time, "Force (N)": made.stress * 18e-6}
+    (read,) = read_curves(write(tmp_path, columns, header=["Tensile relaxation", "Area (mm2);18"]), Given())
+    assert is_relaxation(read)
+    fit = fit_relaxation(read)
+    assert (fit.prony.moduli, fit.prony.times) == (pytest.approx([0.25], rel=0.01), pytest.approx([5.0], rel=0.01))
