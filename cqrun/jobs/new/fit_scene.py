@@ -143,8 +143,8 @@ def _lines(p: Proposal, file: Path, scene: Path, unit: str | None) -> Iterator[s
     corner, size = (_vector(x, digits) for x in p.clamp)
     yield f"  clamp: {{sticky: {{region: {{box: {{corner: {corner}, size: {size}}}}}}}}}"
     yield "loads:"
-    yield "  air: {damping: {rate: 1}}   # drag of the air, and all other losses. A material has its own: `viscosity`. Few"
-    yield "  # recordings tell the two apart, and a viscosity needs shorter substeps."
+    yield "  air: {damping: {rate: 1}}   # drag of the air, and all other losses. A material has its own, `viscosity`;"
+    yield "  # few recordings tell the two apart, and a viscosity needs shorter substeps."
     yield f"time: {{duration: {p.duration:.6g}, control_step: {p.control_step:g}}}"
     yield from _data(p, file, scene, unit, digits)
     yield from _unknowns(p, _name_of(file))
