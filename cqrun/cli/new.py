@@ -50,15 +50,17 @@ def new(
         Unit | None, typer.Option("--units", help="Length unit of the recording, if it names none.")
     ] = None,
     size: Annotated[
-        str | None, typer.Option("--size", metavar="X,Y[,Z]", help="Edges of the body along the axes of the file [m].")
+        str | None,
+        typer.Option("--size", metavar="X,Y[,Z]", help="Edges of the body in m, along the axes of the file."),
     ] = None,
     corner: Annotated[
-        str | None, typer.Option("--corner", metavar="X,Y[,Z]", help="Its lower corner at rest, as in the file [m].")
+        str | None,
+        typer.Option("--corner", metavar="X,Y[,Z]", help="Its lower corner at rest, as in the file, in m."),
     ] = None,
     clamp: Annotated[
-        float | None, typer.Option("--clamp", metavar="LENGTH", help="Length of the body that is held [m].")
+        float | None, typer.Option("--clamp", metavar="LENGTH", help="Length of the body that is held, in m.")
     ] = None,
-    density: Annotated[float | None, typer.Option("--density", help="Density of the body [kg/m^3].")] = None,
+    density: Annotated[float | None, typer.Option("--density", help="Density of the body in kg/m^3.")] = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write to.")] = Path(),
     force: Annotated[bool, typer.Option("--force", help="Overwrite files that are there already.")] = False,
     quiet: Quiet = False,

@@ -113,11 +113,10 @@ def draw_and_print_sweep(study: Path, succeeded: bool, quiet: bool, allow_plugin
     stopped = f"stopped while the picture was drawn; the runs are finished, and the numbers are in {study}"
     try:
         require_found(read_sweep(study), show)
-        if pictures_wanted():
-            with reporting(quiet, "drawing the sweep", stopped):
-                from cqrun.figures.sweep import draw_sweep
+        with reporting(quiet, "drawing the sweep", stopped):
+            from cqrun.figures.sweep import draw_sweep
 
-                _draw(lambda: draw_sweep(study, show), f"the numbers are in {study}")
+            _draw(lambda: draw_sweep(study, show), f"the numbers are in {study}")
         _report(study, None, quiet, allow_plugins)
     finally:
         _print_study(sweep_lines(study, show), study)

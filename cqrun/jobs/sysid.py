@@ -137,6 +137,8 @@ class Sysid(Job[Identification, SysidResult]):
                 yield from (f"no interval for {path}: {reason}" for path, reason in reasons.items())
         if result.substeps is not None:
             yield from [f"predicted with time.substeps={result.substeps}"] if predicts else result.how_found()
+        if scene.data is not None and scene.synthetic is None and any(u.interval for u in result.unknowns.values()):
+            yield "an interval covers the noise of the data alone; `--resolution` finds what the grid adds"
         yield from _held(result)
         yield ""
         yield from _errors(scene, result)

@@ -377,3 +377,12 @@ def test_the_scene_of_a_simulated_recording_finds_its_material(tmp_path):
     assert losses[-1] < 0.6 * losses[0]
     found = result_of(run)["unknowns"]["bodies.body.material.elastic.fixed_corotated.youngs_modulus"]["value"]
     assert 2.0e4 < found < 6.0e4  # the box that is guessed is thinner than the beam, which has 3.0e4
+
+
+def test_rest_positions_of_a_motion_without_a_rest_are_better_than_those_of_its_first_frame(rng):
+    time = np.arange(400) / 200.0
+    rest = np.array([[0.13, 0.09], [0.09, 0.09], [0.06, 0.09]])
+    fall = (np.cos(2 * np.pi * 2.5 * time) - 1.0)[:, None, None] * np.array([[0.0, 0.03], [0.0, 0.01], [0.0, 0.003]])
+    x = rest + fall + 1e-4 * rng.normal(size=(400, 3, 2))
+    found = look(Recording(time, ("tip", "mid", "root"), x, "made")).rest
+    assert np.sqrt(np.mean((found - rest) ** 2)) < 0.8e-4

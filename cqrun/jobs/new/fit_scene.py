@@ -35,6 +35,8 @@ WIDEST, MOST_LINES = 130, 50
 MARKERS = (12, 8, 6, 4)
 """So many markers are in the scene."""
 
+DENSITY_GUESS = "that of silicone rubber"
+
 FAR = 2
 """A file that lies more folders above the scene is named by its whole path."""
 
@@ -64,6 +66,8 @@ def fit_scene(file: Path, scene: Path, units: str | None = None, given: Given = 
     for most in MARKERS:  # fewer if their names are long
         seen = look(recording, most, given.fewest)
         proposal = propose(seen, given)
+        rubber = f"{DENSITY:g} kg/m^3, {DENSITY_GUESS}, and " if given.density is None else ""
+        proposal.guesses["density"] = f"{rubber}a Poisson's ratio of {POISSON}"
         if guessed:
             apart = MILLI * float(np.max(np.ptp(seen.rest, axis=0)))
             proposal.guesses["units"] = (
@@ -73,8 +77,6 @@ def fit_scene(file: Path, scene: Path, units: str | None = None, given: Given = 
         if len(lines) <= MOST_LINES:
             break
     order = ("units", "gravity", "body", "clamp", "density", "stiffness", "start")
-    rubber = f"{DENSITY:g} kg/m^3, that of silicone rubber, and " if given.density is None else ""
-    proposal.guesses["density"] = f"{rubber}a Poisson's ratio of {POISSON}"
     return FitScene("\n".join(lines) + "\n", tuple(_found(seen, proposal)), tuple(
         proposal.guesses[name] for name in order if name in proposal.guesses
     ))  # fmt: skip
@@ -134,7 +136,9 @@ def _lines(p: Proposal, file: Path, scene: Path, unit: str | None) -> Iterator[s
     yield f"    shape: {{box: {{corner: {_vector(p.corner, digits)}, size: {_vector(p.size, digits)}}}}}"
     yield f"    particles_per_cell: {PER_CELL[len(p.size)]}"
     yield "    material:"
-    yield f"      density: {p.density:g}" + ("   # guess: silicone rubber" if p.density == DENSITY else "")
+    yield f"      density: {p.density:g}" + (
+        "   # guess: silicone rubber" if "silicone" in p.guesses["density"] else ""
+    )
     yield f"      # guess: {p.guesses['stiffness']}"
     yield f"      elastic: {{fixed_corotated: {{youngs_modulus: {_number(p.modulus)}, poissons_ratio: {POISSON}}}}}"
     yield "boundaries:"

@@ -254,7 +254,5 @@ def _times(seen: Seen) -> tuple[float, float]:
 def _start_guess(seen: Seen) -> str:
     """Return the reason for the start of the run."""
     if seen.still is None:
-        return (
-            "the run begins at the first frame, with the body at rest and undeformed: no rest comes before the motion"
-        )
+        return "the run begins at the first frame, with the body undeformed; the first frames show where markers rest"
     return f"the motion begins at {seen.start:.4g} s, after a rest; the body is undeformed there"

@@ -29,6 +29,9 @@ WINDOW = 0.05, 5
 CALM = 0.01
 """A marker is at rest if it moves less than this part of the largest motion, or than twice in the calmest window."""
 
+EARLY, FEW = 0.06, 4
+"""Part of a period after which a body that is let go has no constant acceleration any more, and frames to fit it in."""
+
 BRIEFEST = 0.1, 0.3
 """A rest is longer than this [s], and than this part of the period: a body that turns around is not at rest."""
 
@@ -99,7 +102,7 @@ def look(recording: Recording, most: int = 12, fewest: int = 2) -> Seen:
     calm = _calm(time, x, reach, recording.source)
     rests = _intervals(time, calm, max(BRIEFEST[0], BRIEFEST[1] * (period or 0.0)))
     still = next((rest for rest in rests if rest[1] < time[-1]), None)
-    rest = _rest_places(time, x, still)
+    rest = _rest_places(time, x, still, period)
     still, start = (None, float(time[0])) if still is None else _begin(time, x - rest, still, reach)
     after = time >= start
     moved = np.sqrt(_mean(np.sum((x - rest)[after] ** 2, axis=2)))
@@ -193,11 +196,20 @@ def _intervals(time: Array, calm: Array, shortest: float) -> list[tuple[float, f
     return [run for run in runs if run[1] - run[0] >= shortest]
 
 
-def _rest_places(time: Array, x: Array, still: tuple[float, float] | None) -> Array:
-    """Return where each marker is at rest (M, D) [m]: in the still frames, or else when it is seen first."""
+def _rest_places(time: Array, x: Array, still: tuple[float, float] | None, period: float | None) -> Array:
+    """Return where each marker is at rest (M, D) [m]: in the still frames, or else at the first one.
+
+    A body that is let go has moved by a t^2 / 2 after a time t, so x = rest + b t^2 fits the first frames, and a single
+    frame's noise counts less.
+    """
     places = np.full(x.shape[1:], np.nan)
+    early = time - time[0] <= EARLY * (period or 0.0)
     if still is not None:
         places = _mean(x[(time >= still[0]) & (time <= still[1])])
+    elif early.sum() >= FEW and not np.isnan(x[early]).any():
+        squares = (time[early] - time[0]) ** 2
+        basis = np.stack([np.ones(len(squares)), squares], axis=1)
+        places = np.linalg.lstsq(basis, x[early].reshape(len(basis), -1), rcond=None)[0][0].reshape(x.shape[1:])
     first = np.argmax(~np.isnan(x[..., 0]), axis=0)
     return np.where(np.isnan(places), x[first, np.arange(x.shape[1])], places)
 

@@ -55,13 +55,16 @@ def unfinished(members: Sequence[Member]) -> list[Member]:
 def _is_complete(run: Path) -> bool:
     """Return whether a run is finished and has its report; one that failed has none.
 
-    Its command checks copies of plug-ins, so a run that has some is never complete.
+    Its command checks copies of plug-ins, so a run that has some is never complete. One of another engine is: its
+    command would refuse to touch it.
     """
     if not (run / RECORD).is_file():
         return False
     record = read_record(run)
-    if record.get("engine") != engine_hash() or record.get("plugins"):
+    if record.get("plugins"):
         return False
+    if record.get("engine") != engine_hash():
+        return record["status"] in FINISHED
     return record["status"] == "failed" or (record["status"] in FINISHED and (run / REPORT).is_file())
 
 
@@ -108,6 +111,12 @@ class Executor:
         """
         waiting = unfinished(members)
         there = len(members) - len(waiting)
+        others = [m for m in members if m not in waiting and read_record(m.run).get("engine") != engine_hash()]
+        if others:
+            talk.warn(
+                f"{len(others)} of {len(members)} {what} were made by another engine and are kept, such as "
+                f"{others[0].run}: their last digits may differ; `--fresh` makes all of them again"
+            )
         already = f"; {there} of {len(members)} {what} are there already" if there else ""
         talk.phase(f"{doing}{already}")
         if self.on == PROCESSES or not waiting:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -305,3 +306,28 @@ def test_an_unknown_number_is_refused_without_pictures_too(swept, monkeypatch):
     result = CliRunner().invoke(app, [*words, "--out", str(folder / "out"), "-q"])
     assert isinstance(result.exception, UsageError)
     assert "--show deflection: no run found it" in str(result.exception)
+
+
+def test_runs_of_another_engine_stay_in_the_table(swept, tmp_path):
+    """After an upgrade, their commands would refuse to touch them; they are results all the same."""
+    folder, path, _ = swept
+    shutil.copytree(folder, tmp_path / "copy")
+    for record in (tmp_path / "copy" / "out").glob("*/*/run.json"):
+        record.write_text(json.dumps(json.loads(record.read_text()) | {"engine": "older"}))
+    listener = Listener()
+    options = SweepOptions([f"{E}=4e4,8e4", f"{NU}=0.2:0.4:2"], jobs=2)
+    scene = tmp_path / "copy" / "beam.yaml"
+    again, good = run_sweep(scene, [], tmp_path / "copy" / "out", options, threads=2, reporter=listener)
+    assert good
+    assert [run.found for run in read_sweep(again).runs] == [run.found for run in read_sweep(path).runs]
+    assert any("4 of 4 runs were made by another engine and are kept" in text for text in listener.said)
+
+
+def test_without_pictures_of_runs_the_sweep_has_its_own(swept, monkeypatch):
+    folder, path, _ = swept
+    monkeypatch.setenv("CQRUN_PICTURES", "0")
+    path.with_suffix(".png").unlink(missing_ok=True)
+    words = ["sweep", str(folder / "beam.yaml"), "-s", f"{E}=4e4,8e4", "-s", f"{NU}=0.2:0.4:2"]
+    result = CliRunner().invoke(app, [*words, "--out", str(folder / "out"), "-q"])
+    assert result.exit_code == 0, result.output
+    assert path.with_suffix(".png").is_file()
