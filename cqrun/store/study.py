@@ -213,8 +213,9 @@ class Sweep(Part):
         return {name: short.get(name, name) for name in (*self.axes, *self.found)}
 
     def varying(self) -> list[str]:
-        """Return the names of the numbers that differ between runs, those of most runs first; all if none differs.
+        """Return the names of the numbers that differ between runs; all if none differs.
 
+        Those of most runs come first, and of these what differs most, as a part of the largest number in its unit.
         Differences of rounding do not count, such as those of the largest displacement of what only moves down.
         """
         seen = {name: [run.found[name] for run in self.runs if name in run.found] for name in self.found}
@@ -222,7 +223,12 @@ class Sweep(Part):
         for name, values in seen.items():
             sizes[self._kind(name)] = max([sizes.get(self._kind(name), 0.0), *map(abs, values)])
         different = [n for n, v in seen.items() if v and max(v) - min(v) > ROUNDING * sizes[self._kind(n)]]
-        return sorted(different, key=lambda name: -len(seen[name])) or list(self.found)
+        spread = {name: max(values) - min(values) for name, values in seen.items() if values}
+        units: dict[str, float] = {}
+        for (_, unit), size in sizes.items():
+            units[unit] = max(units.get(unit, 0.0), size)
+        rank = {name: -spread[name] / (units[self.found[name].unit] or 1.0) for name in different}
+        return sorted(different, key=lambda name: (-len(seen[name]), rank[name])) or list(self.found)
 
     def _kind(self, name: str) -> tuple[str, str]:
         """Return what numbers of one size share: the name without its last part, and the unit."""

@@ -331,3 +331,16 @@ def test_without_pictures_of_runs_the_sweep_has_its_own(swept, monkeypatch):
     result = CliRunner().invoke(app, [*words, "--out", str(folder / "out"), "-q"])
     assert result.exit_code == 0, result.output
     assert path.with_suffix(".png").is_file()
+
+
+def test_what_differs_most_is_shown_first():
+    """A tip that goes down hardly moves sideways."""
+    runs = [
+        SweptRun(
+            values={E: f"{k}"}, status="done", run=f"r{k}", found={"tip.x": 1e-6 * k, "tip.y": 0.01 * k, "w": 5.0 * k}
+        )
+        for k in (1, 2, 3)
+    ]
+    found = {"tip.x": Found(unit="m"), "tip.y": Found(unit="m"), "w": Found(unit="N")}
+    sweep = Sweep(scene="beam", job="simulate", axes=[E], units={E: "Pa"}, found=found, runs=runs)
+    assert sweep.varying() == ["tip.y", "w", "tip.x"]
