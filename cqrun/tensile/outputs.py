@@ -86,8 +86,9 @@ def fragment_text(material: Material | None, relaxations: Sequence[Relaxation] =
             f"Law: {best.law.title}; {error}; stable in all three modes up to a stretch of {best.stable_to:.3g}"
         )
         lines.append(f"At rest: mu = {_with_interval(moduli.shear, best.certainty.shear)}, E = {shown(moduli.young)}")
-        for name, interval in best.certainty.intervals.items():
-            lines.append(f"{name}: 95 % interval {_interval(interval)}")
+        for parameter in best.law.parameters:
+            interval = best.certainty.intervals[parameter.name]
+            lines.append(f"{parameter.name}: 95 % interval {_interval(interval, modulus=parameter.is_modulus)}")
         if material.ratio == NU:
             lines.append(f"Poisson's ratio {NU} is not measured; 0.49 is often enough, and takes larger time steps")
         lines += [f"Warning: {text}" for text in material.warnings]
@@ -179,22 +180,23 @@ def _chosen(material: Material) -> Iterator[str]:
     yield f"chosen: {best.law.title} (marked *)"
     for parameter, value in zip(best.law.parameters, best.fit.values.tolist(), strict=True):
         text = shown(value) if parameter.is_modulus else f"{value:.4g}"
-        yield f"  {parameter.name:14} {text:>12}   95 % interval {_interval(best.certainty.intervals[parameter.name])}"
+        interval = _interval(best.certainty.intervals[parameter.name], modulus=parameter.is_modulus)
+        yield f"  {parameter.name:14} {text:>12}   95 % interval {interval}"
     ratio = moduli.young / moduli.shear
     shear = best.certainty.shear
     young = None if shear is None else (shear[0] * ratio, shear[1] * ratio)
-    yield f"  {'mu at rest':14} {shown(moduli.shear):>12}   95 % interval {_interval(shear, 'Pa')}"
-    yield f"  {'E at rest':14} {shown(moduli.young):>12}   95 % interval {_interval(young, 'Pa')}"
+    yield f"  {'mu at rest':14} {shown(moduli.shear):>12}   95 % interval {_interval(shear, modulus=True)}"
+    yield f"  {'E at rest':14} {shown(moduli.young):>12}   95 % interval {_interval(young, modulus=True)}"
     stable = ", ".join(f"{mode} {best.stable[mode][1]:.3g}" for mode in MODES)
     yield f"  stable up to the stretch: {stable}"
 
 
-def _interval(interval: tuple[float, float] | None, unit: str = "") -> str:
+def _interval(interval: tuple[float, float] | None, *, modulus: bool) -> str:
     if interval is None:
         return "none"
-    low, high = (shown(x) if unit else f"{x:.4g}" for x in interval)
+    low, high = (shown(x) if modulus else f"{x:.4g}" for x in interval)
     return f"{low} to {high}"
 
 
 def _with_interval(value: float, interval: tuple[float, float] | None) -> str:
-    return shown(value) + ("" if interval is None else f" (95 % interval {_interval(interval, 'Pa')})")
+    return shown(value) + ("" if interval is None else f" (95 % interval {_interval(interval, modulus=True)})")
