@@ -107,12 +107,12 @@ def draw_and_print_resolution(study: Path, succeeded: bool, quiet: bool, allow_p
 def draw_and_print_sweep(study: Path, succeeded: bool, quiet: bool, allow_plugins: bool, show: Sequence[str]) -> None:
     """Draw and print a sweep; exit with 1 if a run failed. Raises as `draw_and_print_run`, and UsageError by `show`."""
     from cqrun.cli.progress import reporting
-    from cqrun.jobs.studies.sweep import require_found, sweep_lines
+    from cqrun.jobs.studies.sweep import numbers_shown, sweep_lines
     from cqrun.store.study import read_sweep
 
     stopped = f"stopped while the picture was drawn; the runs are finished, and the numbers are in {study}"
     try:
-        require_found(read_sweep(study), show)
+        show = numbers_shown(read_sweep(study), show)
         with reporting(quiet, "drawing the sweep", stopped):
             from cqrun.figures.sweep import draw_sweep
 

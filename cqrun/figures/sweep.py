@@ -27,7 +27,7 @@ from cqrun.figures.style import (
     styled,
     tick_text,
 )
-from cqrun.jobs.studies.sweep import require_found
+from cqrun.jobs.studies.sweep import numbers_shown
 from cqrun.plugin.contract import Array
 from cqrun.scene.document import read
 from cqrun.store.study import Sweep, SweptRun, read_sweep
@@ -85,7 +85,7 @@ def draw_sweep(path: Path, show: Sequence[str] = (), kinds: tuple[str, ...] = ("
         UsageError: no run found a number of this name.
     """
     sweep = read_sweep(path)
-    require_found(sweep, show)
+    show = numbers_shown(sweep, show)
     names = list(show) or sweep.varying()[:MOST_SHOWN]
     if not names:
         return []

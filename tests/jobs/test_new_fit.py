@@ -279,7 +279,7 @@ def scaled(factor: float) -> Recording:
 
 def test_what_is_given_is_used_and_is_no_guess(tmp_path):
     corner, size = [0.17, -0.318, 0.482], [0.144, 0.036, 0.012]
-    path, guesses = written(tmp_path, swing(degrees=30.0), given=Given(size, corner, 0.03, 1200.0))
+    path, guesses = written(tmp_path, swing(degrees=4.0), given=Given(size, corner, 0.03, 1200.0))
     scene, lines = valid(path)
     recording, box = scene.recordings["swing"], scene.bodies["body"].shape.value
     assert box.size == size
@@ -288,7 +288,7 @@ def test_what_is_given_is_used_and_is_no_guess(tmp_path):
     clamp = scene.boundaries["clamp"].value.region.value
     assert clamp.size[0] == pytest.approx(box.corner[0] + 0.03)
     assert "turned" not in path.read_text()  # the corner is in the axes of the file
-    base = look(swing(degrees=30.0)).rest[0]
+    base = look(swing(degrees=4.0)).rest[0]
     assert recording.measurement.rest["base_1"] == pytest.approx(base + shift, abs=1e-4)
     assert not any(word in guesses for word in ("the body is a box", "held up to", "kg/m^3"))
     assert any("whole" in line or "6 particles across" in line or "cells and" in line for line in lines)
@@ -334,6 +334,15 @@ def test_a_stiffness_has_wider_bounds_if_the_size_is_a_guess(tmp_path):
         (Given(corner=[0.1]), "--corner has 1 numbers, but the recording has 3 axes"),
         (Given([0.1, 0.02, 0.0]), "--size: takes numbers above 0, lengths in m"),
         (Given(density=float("nan")), "--density: takes numbers above 0"),
+        (Given(density=1.07), "--density 1.07: no soft robot is so light or heavy; give it in kg/m\\^3"),
+        (
+            Given([0.02, 0.02, 0.12]),
+            "marker 'base_.' would be .* mm outside the body: give edges and corner in the order",
+        ),
+        (
+            Given([100, 20, 20]),
+            "--size: the body would be 100 m long, and its markers are 0.1 m apart; give edges in m",
+        ),
         (Given([0.1, 0.02, 0.02], clamp=0.1), "--clamp 0.1: nothing of a body of 0.1 m would be free"),
     ],
 )

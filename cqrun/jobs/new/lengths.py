@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cqrun.build.check_units import HEAVY, LIGHT
 from cqrun.errors import UsageError
 from cqrun.geometry.lattice import whole_spacing
 from cqrun.jobs.new.seen import Seen
@@ -23,6 +24,9 @@ CELLS, PARTICLES = {2: 4.0, 3: 3.0}, 8000
 
 PER_CELL, PER_AXIS = {2: 4, 3: 8}, 2
 """Particles in a cell, and along each of its edges."""
+
+STEM, FAR_LARGER = 0.25, 20.0
+"""A marker stands off a body by at most this part of its length; a body is at most so many times as long."""
 
 NICE = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
 
@@ -56,6 +60,8 @@ class Given:
         for option, given in positive.items():
             if any(number is not None and not 0 < number < np.inf for number in given):
                 raise UsageError(f"--{option}: takes numbers above 0, lengths in m")
+        if self.density is not None and not LIGHT <= self.density <= HEAVY:
+            raise UsageError(f"--density {self.density:g}: no soft robot is so light or heavy; give it in kg/m^3")
         if self.clamp is not None and self.size is not None and self.clamp >= max(self.size):
             raise UsageError(f"--clamp {self.clamp:g}: nothing of a body of {max(self.size):g} m would be free")
 
@@ -92,6 +98,7 @@ def _measured(seen: Seen, along: int, side: int, given: Given) -> Lengths:
         low[along] = seen.rest[:, along].max() - size[along] if side < 0 else seen.rest[:, along].min()
     else:
         low = np.asarray(given.corner, float)
+    _require_near(seen, low, low + size)
     end = float(low[along] if side < 0 else low[along] + size[along])
     held = -side * (_held_face(seen, along, side) - end)  # length between this end and the markers that hardly move
     if given.clamp is not None:
@@ -99,6 +106,21 @@ def _measured(seen: Seen, along: int, side: int, given: Given) -> Lengths:
     elif not (seen.held.any() and 0 < held < size[along]):
         held = min(IN_CLAMP * dx, 0.5 * float(size[along]))
     return Lengths(low, low + size, end - side * held, dx)
+
+
+def _require_near(seen: Seen, low: Array, high: Array) -> None:
+    """Raise a UsageError if a marker is farther off a body (D,) than a stem would carry it."""
+    off = np.linalg.norm(np.maximum(np.maximum(low - seen.rest, seen.rest - high), 0.0), axis=1)
+    apart, length = float(np.ptp(seen.rest, axis=0).max()), float((high - low).max())
+    if len(seen.rest) > 1 and length > FAR_LARGER * apart:
+        raise UsageError(
+            f"--size: the body would be {length:.4g} m long, and its markers are {apart:.3g} m apart; give edges in m"
+        )
+    if off.max() > STEM * length:
+        raise UsageError(
+            f"--size, --corner: marker '{seen.names[int(np.argmax(off))]}' would be {1e3 * off.max():.3g} mm outside "
+            "the body: give edges and corner in the order of the file's axes, in m"
+        )
 
 
 def _around_markers(seen: Seen, along: int, side: int, given: Given) -> Lengths:

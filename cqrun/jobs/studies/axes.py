@@ -149,9 +149,17 @@ def _list_of(text: str, spec: str) -> tuple[str, ...]:
     values = tuple(item.strip() for item in items)
     if "" in values:
         raise _wrong(text, "has an empty value: separate values by one comma each")
-    if len(set(values)) < len(values):
+    if len(set(map(_meant, values))) < len(values):
         raise _wrong(text, "has a value twice")
     return values
+
+
+def _meant(value: str) -> str | float:
+    """Return the number that a text is, so that 1e5 and 1.0e5 are the same; another text as it is."""
+    try:
+        return float(value)
+    except ValueError:
+        return value
 
 
 def _shown(value: float) -> str:

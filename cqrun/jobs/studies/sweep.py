@@ -301,11 +301,19 @@ def sweep_lines(path: Path, show: Sequence[str] = ()) -> list[str]:
     return [*lines, f"sweep: {path.with_suffix('.csv')}"]
 
 
-def require_found(sweep: Sweep, names: Sequence[str]) -> None:
-    """Raise a UsageError if no run found a number of a name."""
-    if unknown := next((name for name in names if name not in sweep.found), None):
+def numbers_shown(sweep: Sweep, names: Sequence[str]) -> list[str]:
+    """Return the names of numbers that runs found; that of a measured quantity stands for its value at the end.
+
+    Raises:
+        UsageError: no run found a number of a name.
+    """
+    ends = {name.removesuffix(".end"): name for name in sweep.found if name.endswith(".end")}
+    found = [name if name in sweep.found else ends.get(name, "") for name in names]
+    if "" in found:
+        unknown = names[found.index("")]
         near = suggest(unknown, sweep.found)
         raise UsageError(f"--show {unknown}: no run found it{near}; there are {listed(sweep.found)}")
+    return found
 
 
 def _cell(value: float | None) -> str:

@@ -25,7 +25,7 @@ from cqrun.figures.sweep import _figure, draw_sweep
 from cqrun.jobs.control import run_control
 from cqrun.jobs.rest import REST
 from cqrun.jobs.simulate import run_simulate
-from cqrun.jobs.studies.sweep import SweepOptions, run_sweep, sweep_lines
+from cqrun.jobs.studies.sweep import SweepOptions, numbers_shown, run_sweep, sweep_lines
 from cqrun.store.study import Found, Sweep, SweptRun, read_sweep, write_study
 
 
@@ -344,3 +344,11 @@ def test_what_differs_most_is_shown_first():
     found = {"tip.x": Found(unit="m"), "tip.y": Found(unit="m"), "w": Found(unit="N")}
     sweep = Sweep(scene="beam", job="simulate", axes=[E], units={E: "Pa"}, found=found, runs=runs)
     assert sweep.varying() == ["tip.y", "w", "tip.x"]
+
+
+def test_the_name_of_a_measured_quantity_stands_for_its_end():
+    found = {"tip.y.end": Found(unit="m"), "tip.y.least": Found(unit="m")}
+    sweep = Sweep(scene="beam", job="simulate", axes=[], units={}, found=found, runs=[])
+    assert numbers_shown(sweep, ["tip.y.least", "tip.y"]) == ["tip.y.least", "tip.y.end"]
+    with pytest.raises(UsageError, match="--show tip: no run found it"):
+        numbers_shown(sweep, ["tip"])
