@@ -278,7 +278,7 @@ def scaled(factor: float) -> Recording:
 
 
 def test_what_is_given_is_used_and_is_no_guess(tmp_path):
-    corner, size = [0.17, -0.318, 0.482], [0.144, 0.036, 0.012]
+    corner, size = [0.17, -0.318, 0.497], [0.144, 0.036, 0.036]
     path, guesses = written(tmp_path, swing(degrees=4.0), given=Given(size, corner, 0.03, 1200.0))
     scene, lines = valid(path)
     recording, box = scene.recordings["swing"], scene.bodies["body"].shape.value
