@@ -12,6 +12,9 @@ MINUTES ?= inf
 PYTEST := NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 PARALLEL := -n 2 --dist loadfile
 
+# These tests compile most kernels, whose code stays in the memory of their processes: they have processes of their own.
+KERNELS := $(addprefix tests/,actuators benchmarks boundaries engine materials numerics)
+
 .DEFAULT_GOAL := help
 .PHONY: help setup lint types pytest test test-nojit test-slow test-rl test-render docs bench profile demo reproduce-figures clean-cache clean
 
@@ -38,7 +41,10 @@ types: $(READY) ## run mypy
 test: lint types pytest ## run ruff, mypy and the fast tests
 
 pytest: $(READY) ## run the fast tests alone
-	$(PYTEST) $(PARALLEL)
+	status=0; \
+	$(PYTEST) $(PARALLEL) $(KERNELS) || status=1; \
+	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(KERNELS)) || status=1; \
+	exit $$status
 
 test-nojit: $(READY) ## run the fast tests without whole jobs in plain Python: slow, but index errors show
 	NUMBA_DISABLE_JIT=1 $(PYTEST) $(PARALLEL) $(addprefix --ignore=tests/,jobs cli test_scenes.py benchmarks)
