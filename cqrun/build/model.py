@@ -206,8 +206,8 @@ def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[Gro
         active = dict.fromkeys(part.model.kernel for part in parts if part.spec.body in names)
         history = tuple(tuple(field.name for field in fields_of(spec, scene.dim)) for spec in specs)
         shear, wave = tuple(spec.shear_modulus for spec in specs), tuple(spec.wave_modulus for spec in specs)
-        lasting = tuple(name for spec, own in zip(specs, history, strict=True) for name in own if not spec.relaxes)
-        groups.append(GroupModel(tuple(indices), makers, tuple(active), history, shear, wave, lasting))
+        fading = tuple(name for spec, own in zip(specs, history, strict=True) for name in own if spec.relaxes)
+        groups.append(GroupModel(tuple(indices), makers, tuple(active), history, shear, wave, fading))
     return tuple(groups)
 
 

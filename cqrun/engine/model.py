@@ -32,7 +32,7 @@ class GroupModel:
 
     `kernel_terms` make each term's kernel view from its packed parameters theta. `active` are the kinds of active
     stress, terms whose parameters the activations fill. `history` has each term's fields of the state, or is empty, and
-    `lasting` those fields that do not fade, so that bodies never come to rest.
+    `fading` those fields that fade, so that bodies come to rest.
     `shear` and `wave` return each term's part of the shear modulus and of the stiffness of a pressure wave (n,) [Pa]
     from theta (rows, n), or are empty.
     """
@@ -43,7 +43,7 @@ class GroupModel:
     history: tuple[tuple[str, ...], ...] = ()
     shear: tuple[Callable[[Array], Array], ...] = ()
     wave: tuple[Callable[[Array], Array], ...] = ()
-    lasting: tuple[str, ...] = ()
+    fading: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

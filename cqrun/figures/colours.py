@@ -218,7 +218,9 @@ def _weight(actuation: Actuation, values: Mapping[str, Array], n: int) -> Array:
 
 
 def _has_activation(run: RunData, frames: Frames) -> bool:
-    return bool(run.scene.actuators) and ("activation" in frames.fields or run.scene.activation is not None)
+    """Return whether the activation of every frame is known; frames of equilibria have no control steps."""
+    in_time = run.scene.activation is not None and int(frames.step[-1]) <= run.scene.time.control_steps
+    return bool(run.scene.actuators) and ("activation" in frames.fields or in_time)
 
 
 def _activation(run: RunData, frames: Frames, shown: Sequence[int]) -> Colours:

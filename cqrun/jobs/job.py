@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Generic, Protocol, TypeVar, final
@@ -217,7 +217,7 @@ class Job(ABC, Generic[P, R]):
             Stopped: asked to stop. RunError: as `work`.
         """
         if prepared.built.warnings:  # for its page: they were said before it began
-            run.add_facts(warnings=[str(warning) for warning in prepared.built.warnings])
+            run.add_facts(warnings=[str(replace(w, where=w.where.rpartition("/")[2])) for w in prepared.built.warnings])
         with talk.stop.deferred():
             try:
                 self.work(run, prepared, talk)

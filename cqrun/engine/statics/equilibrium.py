@@ -64,7 +64,8 @@ class Equilibrium:
     """
 
     def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0, slow: bool = False) -> None:
-        if lasting := [name for group in model.groups for name in group.lasting]:
+        fading = {name for group in model.groups for name in group.fading}
+        if lasting := [field.name for field in model.layout.history if field.name not in fading]:
             raise ValueError(f"a material with a history ({', '.join(lasting)}) has no equilibrium of its own")
         alone = replace(model, surface=None, obstacles=(), reactions=())  # contact is not felt at rest
         self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
