@@ -71,8 +71,7 @@ def test_at_rest_the_slopes_are_those_of_hooke(name, rng):
 
 def test_a_law_that_softens_is_stable_up_to_its_largest_force():
     spec, theta = law("yeoh", c10=0.5, c20=-0.05)
-    low, high = stable_range(spec, theta, "uniaxial")
-    assert low == 0.1 or low < 0.6
+    _, high = stable_range(spec, theta, "uniaxial")
     fine = np.linspace(1.0, 4.0, 30001)
     largest = fine[np.argmax(nominal_stress(spec, theta, "uniaxial", fine))]
     assert high == pytest.approx(largest, rel=0.01)
