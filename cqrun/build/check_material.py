@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.build.history import fields_of
+from cqrun.build.volumes import can_average
 from cqrun.errors import Problem
 from cqrun.materials.curves import stable_to
 from cqrun.materials.moduli import moduli_of
@@ -29,17 +30,28 @@ def material_warnings(scene: Scene) -> Iterator[Problem]:
             yield Problem(scene.where(where), where, message)
 
 
-def too_coarse(scene: Scene) -> Iterator[Problem]:
-    """Yield the problem that float32 loses a stress that relaxes slowly."""
+def relaxation_problems(scene: Scene) -> Iterator[Problem]:
+    """Yield why a stress that relaxes cannot be computed: in float32, or with a law that does not tell its U(J)."""
     slow = [
-        name for name, body in scene.bodies.items() for term in body.material.terms.values() if _relaxes(term, scene)
+        (name, body, key)
+        for name, body in scene.bodies.items()
+        for key, term in body.material.terms.items()
+        if _relaxes(term, scene)
     ]
     if scene.precision == "float32" and slow:
         message = (
-            f"is float32, but the stress of '{slow[0]}' relaxes in each substep by less than its last digit there: use "
-            "float64"
+            f"is float32, but the stress of '{slow[0][0]}' relaxes in each substep by less than its last digit there: "
+            "use float64"
         )
         yield Problem(scene.where("precision"), "precision", message)
+    for name, body, key in slow:
+        if not can_average(body):
+            path, law = f"bodies.{name}.material.{key}", body.material.elastic.name
+            message = (
+                f"relaxes what `{law}` answers to a change of shape, but its file does not say which part of its "
+                "energy is that of the volume: add `register_volume`"
+            )
+            yield Problem(scene.where(path), path, message)
 
 
 def _relaxes(term: Any, scene: Scene) -> bool:

@@ -15,7 +15,7 @@ from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_frame import frame_problems
 from cqrun.build.check_grid import grid_warnings
-from cqrun.build.check_material import material_warnings, too_coarse
+from cqrun.build.check_material import material_warnings, relaxation_problems
 from cqrun.build.check_routes import route_warnings
 from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.conditions import all_conditions
@@ -107,7 +107,7 @@ def build(scene: Scene) -> Built:
     require_possible_plan(scene, bounds)
     warnings += [*_too_slow(scene, assembly), *material_warnings(scene)]
     conditions = all_conditions(scene)
-    if problems := [*frame_problems(scene, particles, conditions), *too_coarse(scene)]:
+    if problems := [*frame_problems(scene, particles, conditions), *relaxation_problems(scene)]:
         raise SceneError(problems)
     surface, obstacles, meeting, conditions = contact_parts(scene, particles, assembly, conditions)
     rasters = {name: rasterised(body, scene.world.dx) for name, body in scene.bodies.items()}

@@ -67,6 +67,12 @@ def test_float32_is_refused_where_a_stress_relaxes():
     build(scene({"yeoh": YEOH}, precision="float32"))
 
 
+def test_a_law_that_does_not_tell_the_part_of_its_volume_cannot_relax(monkeypatch):
+    monkeypatch.setattr("cqrun.build.volumes.has_volume", lambda kernel_class: False)
+    with pytest.raises(SceneError, match="prony: relaxes what `yeoh` answers to a change of shape"):
+        build(scene({"yeoh": YEOH}, {"ratio_1": 0.1, "time_1": 0.05}))
+
+
 def test_validate_tells_the_moduli_and_the_stable_range(tmp_path):
     path = tmp_path / "bar.yaml"
     path.write_text(
