@@ -37,6 +37,13 @@ def test_a_finished_run_with_its_report_is_there(made, status):
     assert run.failure is None
 
 
+@pytest.mark.parametrize(("status", "failure"), [("converged", None), ("failed", "its tip is too far")])
+def test_a_finished_run_of_another_engine_is_left_alone(made, status, failure):
+    run = made(status, report=False, engine="0" * 12)
+    assert unfinished([run]) == []
+    assert run.failure == failure
+
+
 def test_a_run_that_failed_or_is_infeasible_is_there_and_says_why(made):
     runs = [made("infeasible"), made("failed", report=False)]
     assert unfinished(runs) == []
@@ -51,8 +58,7 @@ def test_a_run_that_failed_or_is_infeasible_is_there_and_says_why(made):
         ("new", {}),
         ("converged", {"report": False}),
         ("infeasible", {"report": False}),
-        ("converged", {"engine": "0" * 12}),
-        ("failed", {"engine": "0" * 12}),
+        ("stopped", {"engine": "0" * 12}),
         ("converged", {"plugins": {"law.py": "0" * 64}}),
         ("converged", {"fresh": True}),
         ("failed", {"fresh": True}),
