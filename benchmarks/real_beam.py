@@ -1,10 +1,11 @@
-"""Fit the material of the real beam to its swing and to its rest, on two grids; predict the loaded beam.
+"""Fit the material of the real beam to its swing, its rest and both, on two grids; predict the loaded beam.
 
     python benchmarks/real_beam.py --recordings DIR [--only swing rest ...] [--source-clamp] [--runs DIR] [--out FILE]
 
 DIR holds beam_gravity_V2_a.c3d and beam_load101_V2_a.c3d (srl-ethz/diffPD_sim2real, MIT licence). Each fit is a run of
 `cqrun sysid` below `--runs`. A stopped fit continues, and a finished one is read. On two cores, a fit at 5 mm takes
-40 minutes (swing) or a minute or two (rest). A fit at 3.75 mm takes two hours (swing) or three minutes (rest). With
+40 minutes (swing) or a minute or two (rest). A fit at 3.75 mm takes two hours (swing) or three minutes (rest).
+`material` is one fit of swing and rest, with a stress that relaxes; it takes about as long as that of the swing. With
 `--source-clamp`, the clamp ends where the source of the recordings says, 5 mm before that of the scenes.
 """
 
@@ -29,10 +30,11 @@ from cqrun.store.atomic import write_json
 from cqrun.store.result import SysidResult, require_result
 
 ROOT = Path(__file__).parents[1]
-SWING, REST = (ROOT / "scenes" / "sysid" / f"{name}.yaml" for name in ("real_beam", "real_beam_rest"))
-FILES = {"bare": "beam_gravity_V2_a.c3d", "loaded": "beam_load101_V2_a.c3d"}
+SWING, REST, MATERIAL = (
+    ROOT / "scenes" / "sysid" / f"{name}.yaml" for name in ("real_beam", "real_beam_rest", "real_beam_material")
+)
 FINE = ["world.dx=0.00375"]
-TILTS = {name: f"data.recordings.{name}.overrides.world.gravity.1" for name in FILES}
+TILTS = {name: f"data.recordings.{name}.overrides.world.gravity.1" for name in ("bare", "loaded")}
 """Recording -> key path of the sideways part of its gravity."""
 
 SOURCE_CLAMP = ["boundaries.clamp.sticky.region.box.size.0=0.04"]
@@ -61,14 +63,24 @@ FITS: dict[str, tuple[Path, list[str]]] = {
     "swing": (SWING, []),
     "swing_bare": (SWING, [*HELD_OUT, "unknowns.data.recordings.loaded.start=null"]),
     "swing_fine": (SWING, [*FINE, *NEAR]),
+    "material": (MATERIAL, []),
+    "material_fine": (MATERIAL, FINE),
 }
 """Name -> scene and overrides."""
 
 
-def fit(name: str, recordings: Sequence[str], runs: Path, more: Sequence[str] = ()) -> dict[str, Any]:
+def files(scene: Path, recordings: Path) -> list[str]:
+    """Return the overrides that name the files of a scene's recordings."""
+    data = load_scene(scene).data
+    assert data is not None
+    assert data.recordings is not None
+    return [f"data.recordings.{name}.file={recordings / each.file}" for name, each in data.recordings.items()]
+
+
+def fit(name: str, recordings: Path, runs: Path, more: Sequence[str] = ()) -> dict[str, Any]:
     """Run one fit, or continue it, with more overrides; return what it found."""
     scene, overrides = FITS[name][0], [*FITS[name][1], *more]
-    run = run_sysid(scene, [*recordings, *overrides], runs / name)
+    run = run_sysid(scene, [*files(scene, recordings), *overrides], runs / name)
     result = require_result(run, SysidResult)
     facts = json.loads((run / "run.json").read_text())
     words = [word for override in overrides for word in ("-o", override)]
@@ -100,14 +112,15 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("results") / "real_beam")
     parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "measured" / "real_beam.json")
     options = parser.parse_args()
-    recordings = [f"data.recordings.{name}.file={options.recordings / file}" for name, file in FILES.items()]
     more = SOURCE_CLAMP if options.source_clamp else []
     every = json.loads(options.out.read_text()) if options.out.exists() else {}
     result = every.setdefault("source_clamp", {}) if options.source_clamp else every
     for name in options.only:
-        result[name] = fit(name, recordings, options.runs, more)
+        result[name] = fit(name, options.recordings, options.runs, more)
         if name == "swing_bare":
-            result["rest_predicted_from_swing_bare_mm"] = predicted_rest(result[name], [*recordings, *more])
+            result["rest_predicted_from_swing_bare_mm"] = predicted_rest(
+                result[name], [*files(REST, options.recordings), *more]
+            )
         source = {"command": "python benchmarks/real_beam.py --recordings DIR", "engine": engine_hash()}
         write_json(options.out, {**every, **source})
         errors = {k: round(v["rmse_mm"], 3) for k, v in result[name]["recordings"].items()}
