@@ -71,6 +71,8 @@ def excerpt(name: str, frame: str, edge: int, real: Any) -> Excerpt:
         blank = State.at_rest(state.x, history)
         blank.v[:], blank.F[:] = state.v, state.F
         state = blank
+    if frame == "reference":  # its motions start from the rest shape
+        state.F[:] = np.eye(3)
     inputs = replace(inputs, state=state, terms=[thetas])
     return Excerpt(make_rollout(model, inputs, adjoint=True), 0, SUBSTEPS)
 

@@ -60,16 +60,16 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, h: Any, tau_bar: Any) -> A
     return (behind * along, 0.0 * along), F_bar, zeros_like_rows(F), (-(theta[0] * along),)
 
 
-def update(term: Any, theta: Any, F: Any, F_next: Any, h: Any, dt: Any) -> Any:
+def update(term: Any, theta: Any, F: Any, h: Any, dt: Any) -> Any:
     """Return h after a substep."""
-    return ((theta[1] * h[0] + 0.5 * inner(F_next, F_next) * dt) / (theta[1] + dt),)
+    return ((theta[1] * h[0] + 0.5 * inner(F, F) * dt) / (theta[1] + dt),)
 
 
-def update_vjp(term: Any, theta: Any, F: Any, F_next: Any, h: Any, dt: Any, h_next_bar: Any) -> Any:
-    """Return (theta_bar, F_bar, F_next_bar, h_bar)."""
+def update_vjp(term: Any, theta: Any, F: Any, h: Any, dt: Any, h_next_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, h_bar)."""
     pull = h_next_bar[0] / (theta[1] + dt)
-    h_next = (theta[1] * h[0] + 0.5 * inner(F_next, F_next) * dt) / (theta[1] + dt)
-    return (0.0 * pull, pull * (h[0] - h_next)), zeros_like_rows(F), scale(F_next, pull * dt), (pull * theta[1],)
+    h_next = (theta[1] * h[0] + 0.5 * inner(F, F) * dt) / (theta[1] + dt)
+    return (0.0 * pull, pull * (h[0] - h_next)), scale(F, pull * dt), (pull * theta[1],)
 
 
 register_with_history(RelaxationKernel, stress, stress_vjp, update, update_vjp, rate=False)

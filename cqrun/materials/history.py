@@ -66,34 +66,33 @@ def _accumulate_history(term, q_bar, i, bars):
 # --- a substep, all terms of a material ----------------------------------------------------------------------
 
 
-def update_histories(terms: Any, q: Array, q_next: Array, i: int, F: Any, F_next: Any, dt: float) -> None:
-    """Write the histories of all terms after a substep from F to F_next; q_next may be q."""
+def update_histories(terms: Any, q: Array, q_next: Array, i: int, F: Any, dt: float) -> None:
+    """Write the histories of all terms after a substep that ends at F; q_next may be q."""
     for term in terms:
         if has_history(type(term)):
             theta, h = load_rows(term.theta, term.rows, i), load_history(term, q, i)
-            store_history(term, q_next, i, update(term, theta, F, F_next, h, dt))
+            store_history(term, q_next, i, update(term, theta, F, h, dt))
 
 
 @overload(update_histories)
-def _update_histories(terms, q, q_next, i, F, F_next, dt):
+def _update_histories(terms, q, q_next, i, F, dt):
     if not any(has_history(term.instance_class) for term in terms):
-        return lambda terms, q, q_next, i, F, F_next, dt: None
+        return lambda terms, q, q_next, i, F, dt: None
     if not has_history(terms[0].instance_class):
-        return lambda terms, q, q_next, i, F, F_next, dt: update_histories(terms[1:], q, q_next, i, F, F_next, dt)
+        return lambda terms, q, q_next, i, F, dt: update_histories(terms[1:], q, q_next, i, F, dt)
 
-    def several(terms, q, q_next, i, F, F_next, dt):
+    def several(terms, q, q_next, i, F, dt):
         theta, h = load_rows(terms[0].theta, terms[0].rows, i), load_history(terms[0], q, i)
-        store_history(terms[0], q_next, i, update(terms[0], theta, F, F_next, h, dt))
-        update_histories(terms[1:], q, q_next, i, F, F_next, dt)
+        store_history(terms[0], q_next, i, update(terms[0], theta, F, h, dt))
+        update_histories(terms[1:], q, q_next, i, F, dt)
 
     return several
 
 
 def update_histories_vjp(
-    terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, F_next: Any, dt: float, F_bar: Any,
-    F_next_bar: Any,
-) -> Any:  # fmt: skip
-    """Return F_bar and F_next_bar with the terms from the histories; an empty tuple F_bar stands for zero.
+    terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, dt: float, F_bar: Any
+) -> Any:
+    """Return F_bar with the parts of the histories.
 
     In q_bar, replace the cotangents of the histories after the substep by those before it; add to those of the
     parameters.
@@ -101,39 +100,26 @@ def update_histories_vjp(
     for term, term_bar in zip(terms, terms_bar, strict=True):
         if has_history(type(term)):
             theta, h = load_rows(term.theta, term.rows, i), load_history(term, q, i)
-            bars = update_vjp(term, theta, F, F_next, h, dt, load_history(term, q_bar, i))
+            bars = update_vjp(term, theta, F, h, dt, load_history(term, q_bar, i))
             accumulate_rows(term_bar.theta, term.rows, i, bars[0])
-            store_history(term, q_bar, i, bars[3])
-            F_bar, F_next_bar = sum_of(F_bar, bars[1]), add(F_next_bar, bars[2])
-    return F_bar, F_next_bar
+            store_history(term, q_bar, i, bars[2])
+            F_bar = add(F_bar, bars[1])
+    return F_bar
 
 
 @overload(update_histories_vjp)
-def _update_histories_vjp(terms, terms_bar, q, q_bar, i, F, F_next, dt, F_bar, F_next_bar):
+def _update_histories_vjp(terms, terms_bar, q, q_bar, i, F, dt, F_bar):
     if not any(has_history(term.instance_class) for term in terms):
-        return lambda terms, terms_bar, q, q_bar, i, F, F_next, dt, F_bar, F_next_bar: (F_bar, F_next_bar)
+        return lambda terms, terms_bar, q, q_bar, i, F, dt, F_bar: F_bar
 
-    def none(terms, terms_bar, q, q_bar, i, F, F_next, dt, F_bar, F_next_bar):
-        return update_histories_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, F_next, dt, F_bar, F_next_bar)
+    def none(terms, terms_bar, q, q_bar, i, F, dt, F_bar):
+        return update_histories_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, dt, F_bar)
 
-    def several(terms, terms_bar, q, q_bar, i, F, F_next, dt, F_bar, F_next_bar):
+    def several(terms, terms_bar, q, q_bar, i, F, dt, F_bar):
         theta, h = load_rows(terms[0].theta, terms[0].rows, i), load_history(terms[0], q, i)
-        bars = update_vjp(terms[0], theta, F, F_next, h, dt, load_history(terms[0], q_bar, i))
+        bars = update_vjp(terms[0], theta, F, h, dt, load_history(terms[0], q_bar, i))
         accumulate_rows(terms_bar[0].theta, terms[0].rows, i, bars[0])
-        store_history(terms[0], q_bar, i, bars[3])
-        more, next_more = sum_of(F_bar, bars[1]), add(F_next_bar, bars[2])
-        return update_histories_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, F_next, dt, more, next_more)
+        store_history(terms[0], q_bar, i, bars[2])
+        return update_histories_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, dt, add(F_bar, bars[1]))
 
     return several if has_history(terms[0].instance_class) else none
-
-
-def sum_of(a: Any, b: Any) -> Any:
-    """Return a + b for tensors; an empty tuple stands for zero."""
-    return add(a, b) if len(a) and len(b) else a or b
-
-
-@overload(sum_of)
-def _sum_of(a, b):
-    if len(a) == 0:
-        return lambda a, b: b
-    return (lambda a, b: a) if len(b) == 0 else (lambda a, b: add(a, b))

@@ -9,7 +9,7 @@ stress H_i that follows the changes of S, the law's second Piola-Kirchhoff stres
 
 (Simo, Comput. Methods Appl. Mech. Eng. 60, 1987; Simo and Hughes, Computational Inelasticity, 1998, section 10.3). H is
 symmetric, in the reference configuration, and zero at rest. At once the material is 1 + sum_i g_i times as stiff. H is
-linear in its past, so its adjoint is short.
+linear in its past, so its adjoint is short. S is kept beside H, so that it is computed once in a substep.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ MOST = 5
 class PronyKernel(NamedTuple):
     """Kernels' view: rows g_1, t_1 [s], ..., then those of the elastic law, whose view is `base`.
 
-    `branches` has an entry for each branch, and `history` the rows of all H.
+    `branches` has an entry for each branch, and `history` the rows of all H and then of S.
     """
 
     theta: Array
@@ -63,7 +63,8 @@ class Prony(MaterialTerm):
 
     The elastic law is the answer after a long time, in motion as well as in an equilibrium. A sudden change meets
     1 + ratio_1 + ratio_2 + ... times its stiffness, and each part fades with its time. The part of the law that depends
-    on the volume alone does not relax. A branch adds 6 numbers to the state of each particle (2D: 3).
+    on the volume alone does not relax. The state of a particle grows by 6 numbers, and by 6 more for each branch (2D:
+    by 3 and 3).
     """
 
     relaxes: ClassVar[bool] = True
@@ -121,10 +122,12 @@ class Prony(MaterialTerm):
     def history(self, dim: int) -> tuple[StateField, ...]:
         rows = dim * (dim + 1) // 2
         meaning = "stress that relaxes, in the reference configuration: diagonal first"
-        return tuple(
-            StateField(f"H_{k}", (rows,), (0.0,) * rows, "Pa", f"{meaning} (branch {k})")
-            for k in range(1, self.n_branches + 1)
+        zero = (0.0,) * rows
+        branches = (
+            StateField(f"H_{k}", (rows,), zero, "Pa", f"{meaning} (branch {k})") for k in range(1, self.n_branches + 1)
         )
+        law = "what the law answers to the shape, in the reference configuration: diagonal first"
+        return *branches, StateField("S", (rows,), zero, "Pa", law, follows=True)
 
     def wave_modulus(self, theta: Array) -> Array:  # type: ignore[override]
         """Return 4/3 mu times the sum of the ratios [Pa], shape (n,)."""
@@ -181,26 +184,26 @@ def _branch(h, k, rows):
 
 
 def summed(h: Any, branches: Any) -> Any:
-    """Return the sum over the branches of the rows of their H."""
-    n = len(h) // len(branches)
+    """Return the sum over the branches of the rows of their H; those of S come last."""
+    n = len(h) // (len(branches) + 1)
     return tuple(sum(h[k * n + r] for k in range(len(branches))) for r in range(n))
 
 
 @overload(summed)
 def _summed(h, branches):
-    n = len(h) // len(branches)
+    n = len(h) // (len(branches) + 1)
     entries = ", ".join(" + ".join(f"h[{k * n + r}]" for k in range(len(branches))) for r in range(n))
     return written(f"lambda h, branches: ({entries},)")
 
 
-def repeated(rows: Any, branches: Any) -> Any:
-    """Return a tuple as often as there are branches, one after the other."""
-    return rows * len(branches)
+def repeated(rows: Any, branches: Any, last: Any) -> Any:
+    """Return a tuple as often as there are branches, one after the other, and then the last one."""
+    return rows * len(branches) + last
 
 
 @overload(repeated)
-def _repeated(rows, branches):
-    return written(f"lambda rows, branches: {' + '.join(['rows'] * len(branches))}")
+def _repeated(rows, branches, last):
+    return written(f"lambda rows, branches, last: {' + '.join([*['rows'] * len(branches), 'last'])}")
 
 
 # --- stress -----------------------------------------------------------------------------------------------------------
@@ -216,7 +219,8 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, h: Any, tau_bar: Any) -> A
     H, bar = from_rows(summed(h, term.branches)), symmetric(tau_bar)
     H_bar = mul(mul_at(F, bar), F)
     F_bar = scale(mul(mul(bar, F), H), 2.0)
-    return zeros_like_rows(theta), F_bar, zeros_like_rows(F), repeated(to_rows_vjp(H_bar), term.branches)
+    H_bar = to_rows_vjp(H_bar)
+    return zeros_like_rows(theta), F_bar, zeros_like_rows(F), repeated(H_bar, term.branches, zeros_like_rows(H_bar))
 
 
 # --- the history ------------------------------------------------------------------------------------------------------
@@ -299,23 +303,22 @@ fades = in_branches(branch_fades, "fades", "change, dt, bars")
 pulls = in_branches(branch_pulls, "pulls", "change, dt, bars")
 
 
-def update(term: Any, theta: Any, F: Any, F_next: Any, h: Any, dt: Any) -> Any:
-    """Return h after a substep."""
-    law = law_rows(theta, term.branches)
-    before, after = shape_stress(term, law, F), shape_stress(term, law, F_next)
-    return updates(theta, term.branches, h, add_rows(after, scale_rows(before, -1.0)), dt)
+def update(term: Any, theta: Any, F: Any, h: Any, dt: Any) -> Any:
+    """Return h after a substep that ends at F."""
+    S = shape_stress(term, law_rows(theta, term.branches), F)
+    change = add_rows(S, scale_rows(branch(h, len(term.branches), S), -1.0))
+    return updates(theta, term.branches, h, change, dt) + S
 
 
-def update_vjp(term: Any, theta: Any, F: Any, F_next: Any, h: Any, dt: Any, h_next_bar: Any) -> Any:
-    """Return (theta_bar, F_bar, F_next_bar, h_bar)."""
-    law = law_rows(theta, term.branches)
-    before, after = shape_stress(term, law, F), shape_stress(term, law, F_next)
-    change = add_rows(after, scale_rows(before, -1.0))
-    S_bar = summed(pulls(theta, term.branches, change, dt, h_next_bar), term.branches)
-    law_bar, F_next_bar = shape_stress_vjp(term, law, F_next, S_bar)
-    law_before, F_bar = shape_stress_vjp(term, law, F, scale_rows(S_bar, -1.0))
-    theta_bar = branches_vjp(theta, term.branches, h, change, dt, h_next_bar) + add_rows(law_bar, law_before)
-    return theta_bar, F_bar, F_next_bar, fades(theta, term.branches, change, dt, h_next_bar)
+def update_vjp(term: Any, theta: Any, F: Any, h: Any, dt: Any, h_next_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, h_bar)."""
+    law, last = law_rows(theta, term.branches), len(term.branches)
+    S = shape_stress(term, law, F)
+    change = add_rows(S, scale_rows(branch(h, last, S), -1.0))
+    change_bar = summed(pulls(theta, term.branches, change, dt, h_next_bar) + S, term.branches)  # S is not summed
+    law_bar, F_bar = shape_stress_vjp(term, law, F, add_rows(change_bar, branch(h_next_bar, last, S)))
+    theta_bar = branches_vjp(theta, term.branches, h, change, dt, h_next_bar) + law_bar
+    return theta_bar, F_bar, fades(theta, term.branches, change, dt, h_next_bar) + scale_rows(change_bar, -1.0)
 
 
 register_with_history(PronyKernel, stress, stress_vjp, update, update_vjp, rate=False)

@@ -15,8 +15,10 @@ A term with history declares numbers of the state in `MaterialTerm.history`. Its
 
     stress(term, theta, F, C, h)                              -> tau
     stress_vjp(term, theta, F, C, h, tau_bar)                 -> theta_bar, F_bar, C_bar, h_bar
-    update(term, theta, F, F_next, h, dt)                     -> h_next, after a substep from F to F_next
-    update_vjp(term, theta, F, F_next, h, dt, h_next_bar)     -> theta_bar, F_bar, F_next_bar, h_bar
+    update(term, theta, F, h, dt)                             -> h_next, after a substep that ends at F
+    update_vjp(term, theta, F, h, dt, h_next_bar)             -> theta_bar, F_bar, h_bar
+
+What a term needs of the deformation before the substep it keeps in h.
 
 A term whose energy has a part U(J) of the volume ratio J = det F alone says so with `register_volume`, so that volumes
 can be averaged (engine/reference/volume.py). Its stress holds J U'(J) I. U' is its slope:
@@ -49,8 +51,8 @@ from cqrun.state import StateField
 _STRESS = ByClass("kirchhoff", "term, theta, F, C, h")
 _STRESS_VJP = ByClass("kirchhoff_vjp", "term, theta, F, C, h, tau_bar")
 _BOTH = ByClass("kirchhoff_both", "term, theta, F, C, h, tau_bar")
-_UPDATE = ByClass("update", "term, theta, F, F_next, h, dt")
-_UPDATE_VJP = ByClass("update_vjp", "term, theta, F, F_next, h, dt, h_next_bar")
+_UPDATE = ByClass("update", "term, theta, F, h, dt")
+_UPDATE_VJP = ByClass("update_vjp", "term, theta, F, h, dt, h_next_bar")
 _VOLUME = ByClass("volume_slope", "term, theta, J")
 _VOLUME_VJP = ByClass("volume_slope_vjp", "term, theta, J, slope_bar")
 _ENERGY = ByClass("energy", "term, theta, F")

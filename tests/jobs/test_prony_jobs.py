@@ -72,6 +72,17 @@ def test_the_gradient_through_a_motion(frame, tmp_path):
     assert max(row["error"] for row in rows) < 1e-8
 
 
+def test_the_gradient_of_a_motion_from_an_equilibrium(tmp_path):
+    """The law's stress at the equilibrium is where the branch begins, so it depends on the law and on the sag."""
+    clamp = "boundaries.clamp.sticky={region: {box: {corner: [0, 0], size: [0.04, 0.16]}}, displacement: [0, 0.02]}"
+    scene = written(tmp_path, "start: equilibrium\n" + SCENE + GRADIENT)
+    overrides = [clamp, "world.gravity=[0, -40]", "time.duration=0.03"]
+    run, agrees = run_gradcheck(scene, overrides, tmp_path / "out", threads=1)
+    assert agrees
+    rows = json.loads((run / "gradcheck.json").read_text())["rows"]
+    assert max(row["error"] for row in rows) < 1e-8
+
+
 def test_it_swings_stiffer_than_it_rests(tmp_path):
     """At rest the branch is gone, so the sag is the law's; in a fast motion the beam sinks less."""
     scene = written(tmp_path, SCENE)

@@ -1,17 +1,22 @@
 """Histories of materials: numbers of the particles that a substep changes after the nodes have moved; the adjoint.
 
 A state has them in rows after those of nodes and springs. A row is 4 numbers in each half of a state: those of 8
-neighbouring columns. While substeps run, `NodeRun.q` has the current values, and in the adjoint `NodeBars.q` has their
+neighbouring columns. While substeps run, `NodeRun.q` has the values, and in the adjoint `NodeBars.q` has their
 cotangents. A substep's stress depends on h at its beginning, and `update` (materials/term.py) gives h at its end:
 
-    tau = tau(F, h),   h' = update(F, F', h)   with F of u and F' of u'.
+    tau = tau(F, h),   h' = update(F', h)   with F of u and F' of u'.
+
+The next substep's sweep gathers F' in any case, so it does the update (`sweep.py`). Only where h' is wanted at once, at
+the end of a control step, `remember` does it, with a gather of its own.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from cqrun.engine.arrays import get_columns, load_F, store_F
+from numba.extending import overload
+
+from cqrun.engine.arrays import get_columns
 from cqrun.engine.model import Model
 from cqrun.engine.reference.fields import put_linear
 from cqrun.engine.reference.setting import TILE, NodeBars, NodeRun, NodeStep
@@ -20,7 +25,7 @@ from cqrun.engine.setting import Crew, Group
 from cqrun.engine.transfer import gather, scatter_tile
 from cqrun.materials.history import update_histories, update_histories_vjp
 from cqrun.materials.term import has_history, zeros_like_rows
-from cqrun.numerics.compile import barrier, for_each, kernel, own_symbols, share
+from cqrun.numerics.compile import barrier, for_each, kernel, one_body, own_symbols, share
 from cqrun.numerics.lanes import LANE_BYTES
 from cqrun.numerics.packed import pack, unpack
 from cqrun.numerics.tensor import plus_diagonal, scale
@@ -134,7 +139,7 @@ recall_each, keep_each = for_each(recall), for_each(keep)
 
 @kernel
 def follow(part: tuple[Group, int, int], run: NodeRun, u_next: Array, colours: Array, crew: Crew) -> None:
-    """Update a group's histories in `run.q`, which also has F before the substep."""
+    """Update a group's histories in `run.q`."""
     group, first, last = part
     begin, end = colours[first, 0], colours[last - 1, 8]
     lo, hi = share(end - begin, crew.thread, crew.n_threads)
@@ -145,25 +150,53 @@ def follow(part: tuple[Group, int, int], run: NodeRun, u_next: Array, colours: A
 @kernel
 def follow_unit(group: Group, run: NodeRun, u_next: Array, lo: int, hi: int, thread: int) -> None:
     """Update the histories of the particles lo .. hi."""
-    setting, tiles, q, width = run.setting, run.tiles, run.q, LANE_BYTES // run.q.itemsize
-    value, moment, dims, factor = tiles.value[thread], tiles.moment[thread], setting.dims, 4.0 / setting.dx
+    value, moment = run.tiles.value[thread], run.tiles.moment[thread]
     for tile in range(lo, hi, TILE):
         end = min(tile + TILE, hi)
-        gather(u_next, run.stencils, value, moment, tile, end, setting.strides, dims)
-        for i in range(tile, end, width):
-            F_next = plus_diagonal(scale(get_columns(moment, TILE, i - tile, dims), factor), 1.0)
-            update_histories(group.terms, q, q, i, load_F(q, i, dims), F_next, setting.dt)
+        gather(u_next, run.stencils, value, moment, tile, end, run.setting.strides, run.setting.dims)
+        update_tile(group, run, moment, tile, end)
+
+
+@one_body
+def update_tile(group: Group, run: NodeRun, moment: Array, tile: int, end: int) -> None:
+    """Update the histories of the particles tile .. end, from the moments of the displacement."""
+    dims, factor, width = run.setting.dims, 4.0 / run.setting.dx, LANE_BYTES // run.q.itemsize
+    for i in range(tile, end, width):
+        F = plus_diagonal(scale(get_columns(moment, TILE, i - tile, dims), factor), 1.0)
+        update_histories(group.terms, run.q, run.q, i, F, run.setting.dt)
+
+
+def catch_up(group: Any, means: Any, run: NodeRun, u: Array, tile: int, end: int, thread: int) -> None:
+    """Update the histories of a tile whose moments of u are there, unless volumes are averaged."""
+    if remembers(group):
+        value, moment = run.tiles.value[thread], run.tiles.moment[thread]
+        if len(means) > 0:
+            gather(u, run.stencils, value, moment, tile, end, run.setting.strides, run.setting.dims)
+        update_tile(group, run, moment, tile, end)
+
+
+@overload(catch_up)
+def _catch_up(group, means, run, u, tile, end, thread):
+    terms = group.types[group.fields.index("terms")]
+    if not any(has_history(term.instance_class) for term in terms):
+        return lambda group, means, run, u, tile, end, thread: None
+
+    def known(group, means, run, u, tile, end, thread):
+        update_tile(group, run, run.tiles.moment[thread], tile, end)
+
+    def gathered(group, means, run, u, tile, end, thread):
+        value, moment = run.tiles.value[thread], run.tiles.moment[thread]
+        gather(u, run.stencils, value, moment, tile, end, run.setting.strides, run.setting.dims)
+        update_tile(group, run, moment, tile, end)
+
+    return gathered if len(means) else known
 
 
 @kernel
 def follow_vjp(
-    part: tuple[tuple[Group, Group], int, int], run: NodeRun, bars: NodeBars, u: Array, u_next: Array, colours: Array,
-    crew: Crew,
-) -> None:  # fmt: skip
-    """Turn the cotangents of a group's histories after a substep into those before it, and add to those of u_next.
-
-    The cotangent of F before the substep goes to the rows of F in bars.q, which `press_vjp` adds to its own and clears.
-    """
+    part: tuple[tuple[Group, Group], int, int], run: NodeRun, bars: NodeBars, u_next: Array, colours: Array, crew: Crew
+) -> None:
+    """Turn the cotangents of a group's histories after a substep into those before it, and add to those of u_next."""
     groups, first, last = part
     for body in range(first, last):
         for colour in range(8):
@@ -171,31 +204,27 @@ def follow_vjp(
             if n_units > 0:
                 lo, hi = share(n_units, crew.thread, crew.n_threads)
                 for unit in range(begin + lo, begin + hi):
-                    follow_unit_vjp(groups, run, bars, u, u_next, run.units[unit, 0], run.units[unit, 1], crew.thread)
+                    follow_unit_vjp(groups, run, bars, u_next, run.units[unit, 0], run.units[unit, 1], crew.thread)
                 barrier(run.arrivals, crew.n_threads)
 
 
 @kernel
 def follow_unit_vjp(
-    groups: tuple[Group, Group], run: NodeRun, bars: NodeBars, u: Array, u_next: Array, lo: int, hi: int, thread: int
+    groups: tuple[Group, Group], run: NodeRun, bars: NodeBars, u_next: Array, lo: int, hi: int, thread: int
 ) -> None:
     """Run the adjoint of `follow_unit`."""
     group, group_bar = groups
     setting, stencils, tiles, width = run.setting, run.stencils, run.tiles, LANE_BYTES // run.q.itemsize
-    value, moment, moment_2 = tiles.value[thread], tiles.moment[thread], tiles.moment_2[thread]
-    dims, factor = setting.dims, 4.0 / setting.dx
+    value, moment, dims, factor = tiles.value[thread], tiles.moment[thread], setting.dims, 4.0 / setting.dx
     for tile in range(lo, hi, TILE):
         end = min(tile + TILE, hi)
-        gather(u, stencils, value, moment_2, tile, end, setting.strides, dims)
         gather(u_next, stencils, value, moment, tile, end, setting.strides, dims)
         for i in range(tile, end, width):
-            F = plus_diagonal(scale(get_columns(moment_2, TILE, i - tile, dims), factor), 1.0)
-            F_next = plus_diagonal(scale(get_columns(moment, TILE, i - tile, dims), factor), 1.0)
-            F_bar, F_next_bar = update_histories_vjp(
-                group.terms, group_bar.terms, run.q, bars.q, i, F, F_next, setting.dt, (), zeros_like_rows(F)
+            F = plus_diagonal(scale(get_columns(moment, TILE, i - tile, dims), factor), 1.0)
+            F_bar = update_histories_vjp(
+                group.terms, group_bar.terms, run.q, bars.q, i, F, setting.dt, zeros_like_rows(F)
             )
-            store_F(bars.q, i, F_bar, dims)
-            put_linear(value, moment, stencils, i, i - tile, scale(F_next_bar, factor), dims)
+            put_linear(value, moment, stencils, i, i - tile, scale(F_bar, factor), dims)
         place_history(bars.shape, run, u_next, tile, end, thread)
         scatter_tile(bars.u, (value,), (moment,), stencils, tile, end, setting.strides, dims)
 
@@ -204,14 +233,11 @@ follow_each, follow_each_vjp = for_each(follow), for_each(follow_vjp)
 
 
 @kernel
-def remember(
-    histories: Histories, run: NodeRun, u_next: Array, v_next: Array, colours: Array, write: bool, crew: Crew
-) -> None:
-    """Update all histories after a substep; with `write`, write them to the state after it."""
+def remember(histories: Histories, run: NodeRun, u_next: Array, v_next: Array, colours: Array, crew: Crew) -> None:
+    """Update all histories after a substep, and write them to the state after it."""
     follow_each(histories.parts, run, u_next, colours, crew)
     barrier(run.arrivals, crew.n_threads)
-    if write:
-        keep(histories, run, run.q, u_next, v_next, crew)
+    keep(histories, run, run.q, u_next, v_next, crew)
 
 
 @kernel
@@ -220,7 +246,7 @@ def remember_vjp(
 ) -> None:
     """Run the adjoint of `remember`, after it has written the histories before the substep to `run.q`."""
     recall(histories, run, run.q, at.u, at.v, crew)
-    follow_each_vjp(histories.parts, run, bars, at.u, u_next, colours, crew)
+    follow_each_vjp(histories.parts, run, bars, u_next, colours, crew)
 
 
 remember_each, remember_each_vjp = for_each(remember), for_each(remember_vjp)

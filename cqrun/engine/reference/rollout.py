@@ -112,10 +112,7 @@ class ReferenceRollout(Rollout):
         threads, n_nodes = self.threads, patches.n_nodes
         rates = any(needs_rate(type(term)) for group in self.groups for term in group.terms)
         rates = rates or any(needs_velocity(type(force)) for force in self.drive.forces)
-        setting = NodeSetting(
-            (0,) * model.dim, patches.strides, model.dx, model.dt, model.substeps, (0,) * rates,
-            (0,) * bool(model.layout.history),
-        )  # fmt: skip
+        setting = NodeSetting((0,) * model.dim, patches.strides, model.dx, model.dt, model.substeps, (0,) * rates)
         tiles = Tiles(*(aligned((threads, rows * TILE, 4), real) for rows in (1, 3, 1, 3, 3)))
         push = model.no_push([*self.drive.steady, *self.drive.forces])
         q = replace(State.at_rest(self.inputs.state.x), history=self.inputs.state.history).pack(model.layout, real)

@@ -21,7 +21,6 @@ class NodeSetting(NamedTuple):
     dt: float
     substeps: int  # in a control step
     rates: tuple[int, ...]  # one entry if a stress depends on the velocity gradient, else none
-    histories: tuple[int, ...]  # one entry if a stress has a history, else none
 
 
 class Nodes(NamedTuple):
@@ -70,7 +69,7 @@ class NodeRun(NamedTuple):
     push: Array  # (D, n) steady forces, packed [N]; without columns if there are none
     force: Array  # (M, 4) internal forces [N]
     outside: Array  # (M, 4) external forces, which are constant in a control step [N]
-    q: Array  # (rows, n) the particles' state at the end of a control step, packed; histories are always current
+    q: Array  # (rows, n) the particles' state at the end of a control step, packed; histories as in `history.py`
     tiles: Tiles
     least: Array  # (6, 13) the particles that were deformed most so far (`stretch.py`)
     stray: Array  # (1,) first node that is not finite, else -1

@@ -1,9 +1,9 @@
 """The substeps of the reference frame, and their adjoints; every thread runs these loops.
 
 A substep is one sweep over the particles (`sweep.py`), forces on points (`forces.py`) and one pass over the nodes
-(`nodes.py`). Histories of materials are updated after it (`history.py`). Its adjoint is the same with two more fields.
-A reversed run keeps no states: it finds the state before each substep from the one after it, which is exact but for
-rounding.
+(`nodes.py`). Histories of materials are updated in the next one's sweep (`history.py`). Its adjoint is the same with
+two more fields. A reversed run keeps no states: it finds the state before each substep from the one after it, which is
+exact but for rounding.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def advance(
         reactions: what boundaries do to the bodies, or none.
         contacts: what bodies touch.
     """
-    substeps = run.setting.substeps
+    substeps, late = run.setting.substeps, False
     recall_each(histories, run, run.q, states[0, 0], states[0, 1], crew)
     for step in range(begin, end):
         here = step - begin if keep else 0
@@ -93,7 +93,9 @@ def advance(
             clear_sums_each(reactions, run, step, crew)
         u, v = states[here, 0], states[here, 1]
         at = NodeStep(control, u, v, states[after, 1])
-        press_each(parts, run, u, v, colours, crew)
+        press_each(parts, run, u, v, colours, late, crew)
+        if keep and late:
+            keep_each(histories, run, run.q, u, v, crew)
         pull_each(loads, drive, run, at, crew)
         haunt_each(ghosts, run, u, crew)
         touch_all(contacts, run, at, states[after, 0], keep, crew)
@@ -102,9 +104,10 @@ def advance(
         barrier(run.arrivals, crew.n_threads)
         carry_each(moves, run, u, states[after, 0], states[after, 1], step, crew)
         note_impulses_each(reactions, run, at, states[after, 0], step, keep, crew)
-        write = keep or step + 1 == end
-        remember_each(histories, run, states[after, 0], states[after, 1], colours, write, crew)
         ends, looks = (step + 1) % substeps == 0, (step + 1) % WATCH == 0
+        late = not (ends or step + 1 == end)
+        if not late:
+            remember_each(histories, run, states[after, 0], states[after, 1], colours, crew)
         if ends:
             add_up_each(reactions, run, step, crew)
         if ends or looks:

@@ -16,8 +16,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from cqrun.engine.arrays import get_columns, load_F, store_F
+from cqrun.engine.arrays import get_columns
 from cqrun.engine.reference.fields import put_linear
+from cqrun.engine.reference.history import catch_up
 from cqrun.engine.reference.setting import TILE, NodeBars, NodeRun
 from cqrun.engine.reference.shape import keep_force, place_stress
 from cqrun.engine.reference.volume import (
@@ -43,12 +44,15 @@ from cqrun.state import VOLUME
 
 
 @kernel
-def press(part: tuple[Group, Any, int, int], run: NodeRun, u: Array, v: Array, colours: Array, crew: Crew) -> None:
+def press(
+    part: tuple[Group, Any, int, int], run: NodeRun, u: Array, v: Array, colours: Array, late: bool, crew: Crew
+) -> None:
     """Add the internal forces of a group's particles to `run.force`, for displacements u and velocities v.
 
     Args:
         part: a group, the means of its volumes or none, its first body, and the body after its last.
         colours: (B, 9) where the units of each body and colour begin.
+        late: whether histories are still those before the last substep; then they are updated first.
     """
     group, means, first, last = part
     average_each(means, run, u, first, last, colours, crew)
@@ -58,12 +62,14 @@ def press(part: tuple[Group, Any, int, int], run: NodeRun, u: Array, v: Array, c
             if n_units > 0:
                 lo, hi = share(n_units, crew.thread, crew.n_threads)
                 for unit in range(begin + lo, begin + hi):
-                    press_unit(group, means, run, u, v, run.units[unit, 0], run.units[unit, 1], crew.thread)
+                    press_unit(group, means, run, u, v, run.units[unit, 0], run.units[unit, 1], late, crew.thread)
                 barrier(run.arrivals, crew.n_threads)
 
 
 @kernel
-def press_unit(group: Group, means: Any, run: NodeRun, u: Array, v: Array, lo: int, hi: int, thread: int) -> None:
+def press_unit(
+    group: Group, means: Any, run: NodeRun, u: Array, v: Array, lo: int, hi: int, late: bool, thread: int
+) -> None:
     """Add the internal forces of the particles lo .. hi."""
     setting, stencils, tiles, fields = run.setting, run.stencils, run.tiles, run.fields
     dims, factor, width = setting.dims, 4.0 / setting.dx, LANE_BYTES // run.fields.itemsize
@@ -72,13 +78,13 @@ def press_unit(group: Group, means: Any, run: NodeRun, u: Array, v: Array, lo: i
         end = min(tile + TILE, hi)
         if len(means) == 0:
             gather(u, stencils, value, moment, tile, end, setting.strides, dims)
+        if late:
+            catch_up(group, means, run, u, tile, end, thread)
         collect_pressures(means, run, tile, end, thread)
         if setting.rates:
             gather(v, stencils, value, moment_2, tile, end, setting.strides, dims)
         for i in range(tile, end, width):
             F = find_F(means, moment, run.q, i, i - tile, dims, factor)
-            if setting.histories:
-                store_F(run.q, i, F, dims)  # for the update after the nodes have moved
             Gt = scale(cofactor(F), 1.0 / det(F))
             C = zeros_like_rows(F)
             if setting.rates:
@@ -144,9 +150,6 @@ def press_unit_vjp(
             accumulate(bars.fields, VOLUME, i, inner(tau, H) * -1.0)
             P = mul(tau, Gt)
             F_bar = add(F_bar, scale(mul(Gt, mul_at(Q, P)), vol))
-            if setting.histories:
-                F_bar = add(F_bar, load_F(bars.q, i, dims))  # that of `remember_vjp`
-                store_F(bars.q, i, zeros_like_rows(F), dims)
             keep_force(bars.shape, run, scale(P, vol * -factor), i, i - tile, thread)
             if setting.rates:
                 rate_bar = mul(C_bar, Gt)

@@ -49,7 +49,7 @@ from cqrun.engine.arrays import (
 from cqrun.engine.setting import MARGIN, Crew, Group
 from cqrun.engine.transfer import gather, gather_vjp
 from cqrun.engine.updated.setting import TILE, Bars, Run, Substep
-from cqrun.materials.history import sum_of, update_histories, update_histories_vjp
+from cqrun.materials.history import update_histories, update_histories_vjp
 from cqrun.materials.stress import total_kirchhoff, total_kirchhoff_vjp
 from cqrun.numerics.compile import for_each, kernel, one_body, share
 from cqrun.numerics.lanes import LANE_BYTES, all_lanes, lane, select
@@ -121,7 +121,7 @@ def move(group: Group, run: Run, at: Substep, crew: Crew) -> None:
             store_v(q_next, i, v, dims)
             store_C(q_next, i, C, dims)
             store_F(q_next, i, F_next, dims)
-            update_histories(group.terms, q, q_next, i, F, F_next, dt)
+            update_histories(group.terms, q, q_next, i, F_next, dt)
             fastest = greatest_square(fastest, v)
             inside = within(shift(scale(x, 1.0 / dx), MARGIN), setting.upper)
             if not all_lanes(inside) and work.stray[thread] < 0:
@@ -154,9 +154,7 @@ def begin_cotangent(
         v, C = load_v(q_next, i, dims), load_C(q_next, i, dims)
         F = load_F(q, i, dims)
         x_bar, F_bar = load_x(q_bar, i, dims), load_F(q_bar, i, dims)
-        F_more, F_bar = update_histories_vjp(
-            group.terms, group_bar.terms, q, q_bar, i, F, load_F(q_next, i, dims), dt, (), F_bar
-        )
+        F_bar = update_histories_vjp(group.terms, group_bar.terms, q, q_bar, i, load_F(q_next, i, dims), dt, F_bar)
         v_bar = add(load_v(q_bar, i, dims), scale(x_bar, dt))
         C_bar = add(load_C(q_bar, i, dims), scale(mul_bt(F_bar, F), dt))
         A = scale(C_bar, 4.0 / dx)
@@ -165,7 +163,7 @@ def begin_cotangent(
         put_columns(work.affine_2, n, i, A, dims)
         # the arm d = x_n - x_p of G2P's moments
         store_x(q_bar, i, sub(x_bar, scale(matvec_t(A, v), 1.0 / dx)), dims)
-        store_F(q_bar, i, sum_of(add(F_bar, scale(mul_at(C, F_bar), dt)), F_more), dims)
+        store_F(q_bar, i, add(F_bar, scale(mul_at(C, F_bar), dt)), dims)
         fastest = greatest_square(fastest, v)
     for k in range(width):
         work.speed[thread] = max(work.speed[thread], lane(fastest, k))
