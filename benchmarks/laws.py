@@ -1,6 +1,6 @@
 """What a law of the material costs: forward and gradient of a block in each frame, divided by that of fixed corotated.
 
-    python -m benchmarks.laws [--edge 40] [--rounds 7]
+    python -m benchmarks.laws [--edge 20] [--rounds 15]
 
 writes benchmarks/measured/laws.csv. The laws take turns, so that a change of the machine's speed meets all of them. The
 numbers are medians over the rounds, on one thread.
@@ -19,13 +19,16 @@ import numpy as np
 
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel
-from cqrun.jobs.bench import SUBSTEPS, falling_block
-from cqrun.materials.prony import Prony
+from cqrun.jobs.bench import falling_block
+from cqrun.materials.prony import Prony, shape_stress
 from cqrun.plugin.registry import plugins
 from cqrun.running.excerpt import Excerpt
 from cqrun.state import Layout, State
 
 OUT = Path(__file__).parent / "measured" / "laws.csv"
+SUBSTEPS = 64
+"""Of a control step: those of scenes are more."""
+
 MU = 10.0 / 2.6
 """Shear modulus of the block of `cqrun bench` [Pa]."""
 
@@ -65,14 +68,17 @@ def excerpt(name: str, frame: str, edge: int, real: Any) -> Excerpt:
         tuple(s.shear_modulus for s in specs), tuple(s.wave_modulus for s in specs),
     )  # fmt: skip
     history = tuple(field for own in fields for field in own)
-    model = replace(model, groups=(group,), layout=Layout(3, (count,), history), frame=frame)
     state = inputs.state
+    if frame == "reference":  # its motions start from the rest shape
+        state.F[:] = np.eye(3)
     if history:
         blank = State.at_rest(state.x, history)
         blank.v[:], blank.F[:] = state.v, state.F
+        F = tuple(state.F.reshape(count, -1).T)
+        blank.history["prony.S"][:] = np.transpose(shape_stress(specs[1].kernel_term(None), tuple(thetas[0]), F))
         state = blank
-    if frame == "reference":  # its motions start from the rest shape
-        state.F[:] = np.eye(3)
+    layout = Layout(3, (count,), history)
+    model = replace(model, groups=(group,), layout=layout, frame=frame, substeps=SUBSTEPS)
     inputs = replace(inputs, state=state, terms=[thetas])
     return Excerpt(make_rollout(model, inputs, adjoint=True), 0, SUBSTEPS)
 
@@ -101,8 +107,8 @@ def measured(frame: str, edge: int, rounds: int, real: Any) -> Iterator[dict[str
 def main() -> None:
     """Measure all laws and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--edge", type=int, default=40)
-    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--edge", type=int, default=20)
+    parser.add_argument("--rounds", type=int, default=15)
     options = parser.parse_args()
     rows = []
     for frame in ("updated", "reference"):

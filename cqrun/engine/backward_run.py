@@ -143,7 +143,8 @@ class BackwardRun(ABC):
         bar.fields.force[:] = f[FORCE:].T
         for g, (group, slice_) in enumerate(zip(self.groups_bar, r.model.group_slices(), strict=True)):
             for k in range(len(bar.terms[g])):
-                bar.terms[g][k][:] = unpack(group.terms[k].theta)[:, columns[slice_]]
+                theta_bar = unpack(group.terms[k].theta)
+                bar.terms[g][k][:] = theta_bar[: len(bar.terms[g][k]), columns[slice_]]
         bar.activation[:] = levels.activation[:, : len(r.model.actuators)]
         bar.strength[:], bar.coefficients[:] = levels.strength, self.coefficient_bar
         if len(bar.rest):

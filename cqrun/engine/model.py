@@ -99,6 +99,7 @@ class Model:
     averaged: bool = False  # whether volumes are means over the corners of cells, in the reference frame
     offset: Array | None = None  # of each body's grid from that of the world (B, D) [m], in the reference frame
     settled: bool = False  # whether the motion starts at equilibrium
+    static: bool = False  # whether equilibria are sought, and no motion
     surface: SurfaceModel | None = None  # of the bodies, in the reference frame
     obstacles: tuple[ObstacleModel, ...] = ()  # in the reference frame
     meeting: MeetingModel | None = None  # of bodies with each other, in the reference frame

@@ -9,7 +9,8 @@ stress H_i that follows the changes of S, the law's second Piola-Kirchhoff stres
 
 (Simo, Comput. Methods Appl. Mech. Eng. 60, 1987; Simo and Hughes, Computational Inelasticity, 1998, section 10.3). H is
 symmetric, in the reference configuration, and zero at rest. At once the material is 1 + sum_i g_i times as stiff. H is
-linear in its past, so its adjoint is short. S is kept beside H, so that it is computed once in a substep.
+linear in its past, so its adjoint is short. S is kept beside H, so that the law is evaluated once in a substep:
+in motions, tau is F (S + sum_i H_i) F^T + J U'(J) I.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from cqrun.materials.term import (
     add_rows,
     kirchhoff,
     kirchhoff_vjp,
+    register_in_motion,
     register_with_history,
     volume_slope,
     volume_slope_vjp,
@@ -33,7 +35,7 @@ from cqrun.materials.term import (
     zeros_like_rows,
 )
 from cqrun.numerics.compile import written
-from cqrun.numerics.elementary import exponential
+from cqrun.numerics.packed import pack, unpack
 from cqrun.numerics.symmetric import from_rows, from_rows_vjp, to_rows, to_rows_vjp
 from cqrun.numerics.tensor import add, cofactor, det, mul, mul_at, mul_bt, plus_diagonal, scale, symmetric, trace
 from cqrun.plugin.contract import Array, quantity
@@ -49,6 +51,16 @@ class PronyKernel(NamedTuple):
 
     `branches` has an entry for each branch, and `history` the rows of all H and then of S.
     """
+
+    theta: Array
+    rows: tuple[int, ...]
+    history: tuple[int, ...]
+    branches: tuple[int, ...]
+    base: Any
+
+
+class RelaxingKernel(NamedTuple):
+    """The view in motions, whose stress is that of the law, too: theta ends with rows exp(-dt/(2 t_i))."""
 
     theta: Array
     rows: tuple[int, ...]
@@ -141,33 +153,50 @@ _EVERY = range(1, MOST + 1)
 # --- parts of theta and of the history --------------------------------------------------------------------------------
 
 
+def in_motion(view: PronyKernel, dt: float) -> RelaxingKernel:
+    """Return the view for substeps dt [s]."""
+    theta, n = unpack(view.theta), len(view.branches)
+    time = theta[1 : 2 * n : 2]
+    half = np.exp(-0.5 * dt / np.where(time > 0.0, time, 1.0))  # columns between bodies have no times
+    theta = pack(np.concatenate([theta, half]), view.theta.dtype)
+    return RelaxingKernel(theta, view.rows + (0,) * n, *view[2:])
+
+
 def law_rows(theta: Any, branches: Any) -> Any:
     """Return the rows of the elastic law."""
-    return theta[2 * len(branches) :]
+    return theta[2 * len(branches) : len(theta) - len(branches)]
 
 
 @overload(law_rows)
 def _law_rows(theta, branches):
-    begin, count = 2 * len(branches), len(theta) - 2 * len(branches)
+    begin, count = 2 * len(branches), len(theta) - 3 * len(branches)
     entries = "".join(f"theta[{begin + r}], " for r in range(count))
     return written(f"lambda theta, branches: ({entries})")
 
 
 def in_branches(function: Any, name: str, arguments: str) -> Any:
-    """Return the function that joins function(ratio, time, k, ...) of all branches, k its number, to one tuple."""
+    """Return the function that joins function(ratio, time, half, k, ...) of all branches to one tuple.
+
+    k is the branch's number, and half is exp(-dt/(2 time)).
+    """
 
     def every(theta: Any, branches: Any, *given: Any) -> Any:
-        parts = [function(theta[2 * k], theta[2 * k + 1], k, *given) for k in range(len(branches))]
+        n = len(branches)
+        parts = [function(theta[2 * k], theta[2 * k + 1], theta[k - n], k, *given) for k in range(n)]
         return tuple(entry for part in parts for entry in part)
 
-    def compiled(branches: Any) -> Any:
-        parts = [f"one(theta[{2 * k}], theta[{2 * k + 1}], {k}, {arguments})" for k in range(len(branches))]
+    def compiled(theta: Any, branches: Any) -> Any:
+        first = len(theta) - len(branches)
+        parts = [
+            f"one(theta[{2 * k}], theta[{2 * k + 1}], theta[{first + k}], {k}, {arguments})"
+            for k in range(len(branches))
+        ]
         return written(f"lambda theta, branches, {arguments}: {' + '.join(parts)}", {"one": one})
 
     one = register_jitable(function)
     scope: dict[str, Any] = {"every": every, "compiled": compiled}
     exec(f"def {name}(theta, branches, {arguments}):\n    return every(theta, branches, {arguments})", scope)
-    exec(f"def choose(theta, branches, {arguments}):\n    return compiled(branches)", scope)
+    exec(f"def choose(theta, branches, {arguments}):\n    return compiled(theta, branches)", scope)
     overload(scope[name])(scope["choose"])
     return scope[name]
 
@@ -196,6 +225,40 @@ def _summed(h, branches):
     return written(f"lambda h, branches: ({entries},)")
 
 
+def with_law(h: Any, branches: Any) -> Any:
+    """Return the rows of S plus the sum of those of all H."""
+    n = len(h) // (len(branches) + 1)
+    return tuple(sum(h[k * n + r] for k in range(len(branches) + 1)) for r in range(n))
+
+
+@overload(with_law)
+def _with_law(h, branches):
+    n = len(h) // (len(branches) + 1)
+    entries = ", ".join(" + ".join(f"h[{k * n + r}]" for k in range(len(branches) + 1)) for r in range(n))
+    return written(f"lambda h, branches: ({entries},)")
+
+
+def all_rows(theta: Any, branches_bar: Any, law_bar: Any) -> Any:
+    """Return the cotangent of all rows from those of the branches and of the law; the last rows have none."""
+    return branches_bar + law_bar + tuple(row * 0.0 for row in theta[len(branches_bar) + len(law_bar) :])
+
+
+@overload(all_rows)
+def _all_rows(theta, branches_bar, law_bar):
+    zeros = "".join(f"theta[{r}] * 0.0, " for r in range(len(branches_bar) + len(law_bar), len(theta)))
+    return written(f"lambda theta, branches_bar, law_bar: branches_bar + law_bar + ({zeros})")
+
+
+def no_rows(theta: Any, branches: Any) -> Any:
+    """Return zeros for the rows of the branches."""
+    return tuple(row * 0.0 for row in theta[: 2 * len(branches)])
+
+
+@overload(no_rows)
+def _no_rows(theta, branches):
+    return written("lambda theta, branches: " + written_tuple("theta[{r}] * 0.0", 2 * len(branches)))
+
+
 def repeated(rows: Any, branches: Any, last: Any) -> Any:
     """Return a tuple as often as there are branches, one after the other, and then the last one."""
     return rows * len(branches) + last
@@ -221,6 +284,25 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, h: Any, tau_bar: Any) -> A
     F_bar = scale(mul(mul(bar, F), H), 2.0)
     H_bar = to_rows_vjp(H_bar)
     return zeros_like_rows(theta), F_bar, zeros_like_rows(F), repeated(H_bar, term.branches, zeros_like_rows(H_bar))
+
+
+def stress_in_motion(term: Any, theta: Any, F: Any, C: Any, h: Any) -> Any:
+    """Return tau with that of the law, J U'(J) I + F (S + sum_i H_i) F^T."""
+    J, answer = det(F), from_rows(with_law(h, term.branches))
+    pressure = volume_slope(term.base, law_rows(theta, term.branches), J)
+    return plus_diagonal(mul_bt(mul(F, answer), F), J * pressure)
+
+
+def stress_in_motion_vjp(term: Any, theta: Any, F: Any, C: Any, h: Any, tau_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, C_bar, h_bar)."""
+    J, answer, bar = det(F), from_rows(with_law(h, term.branches)), symmetric(tau_bar)
+    law, tr = law_rows(theta, term.branches), trace(tau_bar)
+    law_bar, J_bar = volume_slope_vjp(term.base, law, J, tr * J)
+    J_bar = J_bar + tr * volume_slope(term.base, law, J)
+    F_bar = add(scale(mul(mul(bar, F), answer), 2.0), scale(cofactor(F), J_bar))
+    answer_bar = to_rows_vjp(mul(mul_at(F, bar), F))
+    theta_bar = all_rows(theta, no_rows(theta, term.branches), law_bar)
+    return theta_bar, F_bar, zeros_like_rows(F), repeated(answer_bar, term.branches, answer_bar)
 
 
 # --- the history ------------------------------------------------------------------------------------------------------
@@ -253,28 +335,26 @@ def shape_stress_vjp(term: Any, theta: Any, F: Any, S_bar: Any) -> Any:
     return add_rows(by_law[0], by_volume), F_bar
 
 
-def branch_update(ratio: Any, time: Any, k: int, h: Any, change: Any, dt: Any) -> Any:
+def branch_update(ratio: Any, time: Any, half: Any, k: int, h: Any, change: Any) -> Any:
     """Return H of branch k after a substep in which S changes."""
-    half = exponential(-0.5 * dt / time)
     return add_rows(scale_rows(branch(h, k, change), half * half), scale_rows(change, ratio * half))
 
 
-def branch_vjp(ratio: Any, time: Any, k: int, h: Any, change: Any, dt: Any, bars: Any) -> Any:
+def branch_vjp(ratio: Any, time: Any, half: Any, k: int, h: Any, change: Any, dt: Any, bars: Any) -> Any:
     """Return the cotangents of the ratio and of the time of branch k."""
-    half, bar = exponential(-0.5 * dt / time), branch(bars, k, change)
+    bar = branch(bars, k, change)
     along, faded = dot_rows(bar, change) * half, dot_rows(bar, branch(h, k, change)) * half * half
     return along, (faded + 0.5 * ratio * along) * dt / (time * time)
 
 
-def branch_fades(ratio: Any, time: Any, k: int, change: Any, dt: Any, bars: Any) -> Any:
+def branch_fades(ratio: Any, time: Any, half: Any, k: int, change: Any, bars: Any) -> Any:
     """Return the cotangent of H of branch k before the substep."""
-    half = exponential(-0.5 * dt / time)
     return scale_rows(branch(bars, k, change), half * half)
 
 
-def branch_pulls(ratio: Any, time: Any, k: int, change: Any, dt: Any, bars: Any) -> Any:
+def branch_pulls(ratio: Any, time: Any, half: Any, k: int, change: Any, bars: Any) -> Any:
     """Return the cotangent of the change of S through branch k."""
-    return scale_rows(branch(bars, k, change), ratio * exponential(-0.5 * dt / time))
+    return scale_rows(branch(bars, k, change), ratio * half)
 
 
 def scale_rows(a: Any, s: Any) -> Any:
@@ -297,17 +377,17 @@ def _dot_rows(a, b):
     return written("lambda a, b: " + " + ".join(f"a[{r}] * b[{r}]" for r in range(len(a))))
 
 
-updates = in_branches(branch_update, "updates", "h, change, dt")
+updates = in_branches(branch_update, "updates", "h, change")
 branches_vjp = in_branches(branch_vjp, "branches_vjp", "h, change, dt, bars")
-fades = in_branches(branch_fades, "fades", "change, dt, bars")
-pulls = in_branches(branch_pulls, "pulls", "change, dt, bars")
+fades = in_branches(branch_fades, "fades", "change, bars")
+pulls = in_branches(branch_pulls, "pulls", "change, bars")
 
 
 def update(term: Any, theta: Any, F: Any, h: Any, dt: Any) -> Any:
     """Return h after a substep that ends at F."""
     S = shape_stress(term, law_rows(theta, term.branches), F)
     change = add_rows(S, scale_rows(branch(h, len(term.branches), S), -1.0))
-    return updates(theta, term.branches, h, change, dt) + S
+    return updates(theta, term.branches, h, change) + S
 
 
 def update_vjp(term: Any, theta: Any, F: Any, h: Any, dt: Any, h_next_bar: Any) -> Any:
@@ -315,10 +395,12 @@ def update_vjp(term: Any, theta: Any, F: Any, h: Any, dt: Any, h_next_bar: Any) 
     law, last = law_rows(theta, term.branches), len(term.branches)
     S = shape_stress(term, law, F)
     change = add_rows(S, scale_rows(branch(h, last, S), -1.0))
-    change_bar = summed(pulls(theta, term.branches, change, dt, h_next_bar) + S, term.branches)  # S is not summed
+    change_bar = summed(pulls(theta, term.branches, change, h_next_bar) + S, term.branches)  # S is not summed
     law_bar, F_bar = shape_stress_vjp(term, law, F, add_rows(change_bar, branch(h_next_bar, last, S)))
-    theta_bar = branches_vjp(theta, term.branches, h, change, dt, h_next_bar) + law_bar
-    return theta_bar, F_bar, fades(theta, term.branches, change, dt, h_next_bar) + scale_rows(change_bar, -1.0)
+    theta_bar = all_rows(theta, branches_vjp(theta, term.branches, h, change, dt, h_next_bar), law_bar)
+    return theta_bar, F_bar, fades(theta, term.branches, change, h_next_bar) + scale_rows(change_bar, -1.0)
 
 
-register_with_history(PronyKernel, stress, stress_vjp, update, update_vjp, rate=False)
+register_with_history(PronyKernel, stress, stress_vjp, rate=False)
+register_with_history(RelaxingKernel, stress_in_motion, stress_in_motion_vjp, update, update_vjp, rate=False)
+register_in_motion(PronyKernel, RelaxingKernel, in_motion)

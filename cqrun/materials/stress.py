@@ -1,19 +1,30 @@
-"""The stress of a material in a lane of particles, the sum of its terms, and the adjoint."""
+"""The stress of a material in a lane of particles, the sum of its terms, and the adjoint.
+
+The elastic law is the first term. Where another one holds its stress (`term.register_in_motion`), it is left out.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from numba.extending import overload, register_jitable
 
 from cqrun.materials.history import accumulate_history, load_history
-from cqrun.materials.term import accumulate_rows, kirchhoff, kirchhoff_both, kirchhoff_vjp, load_rows
+from cqrun.materials.term import accumulate_rows, holds_law, kirchhoff, kirchhoff_both, kirchhoff_vjp, load_rows
 from cqrun.numerics.tensor import add
 from cqrun.plugin.contract import Array
 
 
+def law_is_held(kernel_classes: Iterable[type]) -> bool:
+    """Return whether one of these classes, but for the first, holds the stress of the first."""
+    return any(map(holds_law, list(kernel_classes)[1:]))
+
+
 def total_kirchhoff(terms: Any, q: Array, i: int, F: Any, C: Any) -> Any:
     """Return the sum of the Kirchhoff stresses of all terms for the lane of particles at i."""
+    if law_is_held(type(term) for term in terms):
+        return total_kirchhoff(terms[1:], q, i, F, C)
     theta = load_rows(terms[0].theta, terms[0].rows, i)
     tau = kirchhoff(terms[0], theta, F, C, load_history(terms[0], q, i))
     return add(tau, total_kirchhoff(terms[1:], q, i, F, C)) if len(terms) > 1 else tau
@@ -28,14 +39,19 @@ def _total_kirchhoff(terms, q, i, F, C):
     def several(terms, q, i, F, C):
         return add(one_of(terms, q, i, F, C), total_kirchhoff(terms[1:], q, i, F, C))
 
+    def held(terms, q, i, F, C):
+        return total_kirchhoff(terms[1:], q, i, F, C)
+
     one_of = register_jitable(one)
-    return several if len(terms) > 1 else one
+    return held if law_is_held(term.instance_class for term in terms) else several if len(terms) > 1 else one
 
 
 def total_kirchhoff_vjp(
     terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, C: Any, tau_bar: Any
 ) -> Any:
     """Return (F_bar, C_bar); add to the cotangents of the parameters in terms_bar and of the histories in q_bar."""
+    if law_is_held(type(term) for term in terms):
+        return total_kirchhoff_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
     theta = load_rows(terms[0].theta, terms[0].rows, i)
     bars = kirchhoff_vjp(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)
     accumulate_rows(terms_bar[0].theta, terms[0].rows, i, bars[0])
@@ -60,14 +76,19 @@ def _total_kirchhoff_vjp(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
         F_more, C_more = total_kirchhoff_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
         return add(F_bar, F_more), add(C_bar, C_more)
 
+    def held(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
+        return total_kirchhoff_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+
     one_of = register_jitable(one)
-    return several if len(terms) > 1 else one
+    return held if law_is_held(term.instance_class for term in terms) else several if len(terms) > 1 else one
 
 
 def total_kirchhoff_both(
     terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, C: Any, tau_bar: Any
 ) -> Any:
     """Return (tau, F_bar, C_bar): `total_kirchhoff` and `total_kirchhoff_vjp` in one."""
+    if law_is_held(type(term) for term in terms):
+        return total_kirchhoff_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
     theta = load_rows(terms[0].theta, terms[0].rows, i)
     found = kirchhoff_both(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)
     accumulate_rows(terms_bar[0].theta, terms[0].rows, i, found[1])
@@ -92,8 +113,11 @@ def _total_kirchhoff_both(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
         more = total_kirchhoff_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
         return add(tau, more[0]), add(F_bar, more[1]), add(C_bar, more[2])
 
+    def held(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
+        return total_kirchhoff_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+
     one_of = register_jitable(one)
-    return several if len(terms) > 1 else one
+    return held if law_is_held(term.instance_class for term in terms) else several if len(terms) > 1 else one
 
 
 def stress_slope(terms: Any, q: Array, i: int, F: Any, C: Any, tau_bar: Any) -> Any:

@@ -20,6 +20,9 @@ A term with history declares numbers of the state in `MaterialTerm.history`. Its
 
 What a term needs of the deformation before the substep it keeps in h.
 
+A term that computes the elastic law's stress itself, so that the law is evaluated once in a substep, has a second
+kernel class for motions, whose stress holds the law's. It says so with `register_in_motion`.
+
 A term whose energy has a part U(J) of the volume ratio J = det F alone says so with `register_volume`, so that volumes
 can be averaged (engine/reference/volume.py). Its stress holds J U'(J) I. U' is its slope:
 
@@ -58,6 +61,8 @@ _VOLUME_VJP = ByClass("volume_slope_vjp", "term, theta, J, slope_bar")
 _ENERGY = ByClass("energy", "term, theta, F")
 _ENERGY_VJP = ByClass("energy_vjp", "term, theta, F, psi_bar")
 _RATES: set[type] = set()
+_REMEMBERS: set[type] = set()
+_IN_MOTION: dict[type, tuple[type, Callable[..., Any]]] = {}
 kirchhoff, kirchhoff_vjp, kirchhoff_both, update, update_vjp = (
     f.call for f in (_STRESS, _STRESS_VJP, _BOTH, _UPDATE, _UPDATE_VJP)
 )
@@ -122,14 +127,38 @@ def register(
 
 
 def register_with_history(
-    kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any], update: Callable[..., Any],
-    update_vjp: Callable[..., Any], *, rate: bool = True,
+    kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any],
+    update: Callable[..., Any] | None = None, update_vjp: Callable[..., Any] | None = None, *, rate: bool = True,
 ) -> None:  # fmt: skip
-    """Register the functions of a kernel class with history; `rate` as in `register`."""
+    """Register the functions of a kernel class with history; `rate` as in `register`.
+
+    One for which another class stands in motions needs no update.
+    """
     for table, body in ((_STRESS, stress), (_STRESS_VJP, stress_vjp), (_UPDATE, update), (_UPDATE_VJP, update_vjp)):
-        table.register(kernel_class, body)
+        if body is not None:
+            table.register(kernel_class, body)
+    _REMEMBERS.add(kernel_class)
     _BOTH.register(kernel_class, one_after_the_other_with_history(stress, stress_vjp))
     _RATES.update([kernel_class] if rate else [])
+
+
+def register_in_motion(kernel_class: type, moving_class: type, make: Callable[..., Any]) -> None:
+    """Register the class that stands for a kernel class in motions, and whose stress holds the law's.
+
+    Args:
+        make: make(view, dt) returns the view for substeps dt [s]; its theta may have more rows, after the others.
+    """
+    _IN_MOTION[kernel_class] = moving_class, make
+
+
+def in_motion(view: Any, dt: float) -> Any:
+    """Return a term's view for motions with substeps dt [s]."""
+    return _IN_MOTION[type(view)][1](view, dt) if type(view) in _IN_MOTION else view
+
+
+def holds_law(kernel_class: type) -> bool:
+    """Return whether the stress of a kernel class holds that of the elastic law, the first term of a material."""
+    return any(kernel_class is moving for moving, _ in _IN_MOTION.values())
 
 
 def register_volume(kernel_class: type, slope: Callable[..., Any], slope_vjp: Callable[..., Any]) -> None:
@@ -186,9 +215,14 @@ def is_stress(kernel_class: type) -> bool:
     return kernel_class in _STRESS
 
 
+def is_updated(kernel_class: type) -> bool:
+    """Return whether the terms of a kernel class have a history that substeps change."""
+    return kernel_class in _UPDATE
+
+
 def has_history(kernel_class: type) -> bool:
     """Return whether the terms of a kernel class have a history."""
-    return kernel_class in _UPDATE
+    return kernel_class in _REMEMBERS
 
 
 # --- lane values of parameters ----------------------------------------------------------------------------

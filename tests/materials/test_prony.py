@@ -10,8 +10,8 @@ import pytest
 from constitutive import N, entries, matrices, richardson, rotations, states, t
 from little_worlds import needs_jit
 
-from cqrun.materials.prony import Prony, shape_stress
-from cqrun.materials.term import kirchhoff, kirchhoff_vjp, update, update_vjp
+from cqrun.materials.prony import Prony, RelaxingKernel, shape_stress
+from cqrun.materials.term import in_motion, kirchhoff, kirchhoff_vjp, update, update_vjp
 from cqrun.numerics.compile import kernel
 from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import load, pack, store, unpack
@@ -40,19 +40,26 @@ class Relaxing:
         vary = 1.0 if rng is None else 1.0 + 0.1 * rng.uniform(-1, 1, (len(values), N))
         self.theta = np.tile(np.array(values)[:, None], N) * vary
         self.kernel = self.spec.kernel_term(None)
+        self.n = n
         self.n_rows = {dim: (n + 1) * dim * (dim + 1) // 2 for dim in (2, 3)}
 
     def tau(self, F, h, theta=None):
         theta = self.theta if theta is None else theta
         return matrices(kirchhoff(self.kernel, tuple(theta), entries(F), entries(0 * F), tuple(h)))
 
-    def next(self, F, h, dt, theta=None):
+    def moving(self, dt, theta=None):
+        """Return the view in motions for substeps dt, and its parameters."""
         theta = self.theta if theta is None else theta
-        return np.array(update(self.kernel, tuple(theta), entries(F), tuple(h), dt))
+        half = np.exp(-0.5 * dt / theta[1 : 2 * self.n : 2])
+        return RelaxingKernel(None, (0,) * (len(theta) + self.n), *self.kernel[2:]), (*theta, *half)
+
+    def next(self, F, h, dt, theta=None):
+        kernel, theta = self.moving(dt, theta)
+        return np.array(update(kernel, theta, entries(F), tuple(h), dt))
 
     def at(self, F, h):
         """Return a history with the stress of the law at F in its last rows."""
-        S = np.array(shape_stress(self.kernel, tuple(self.theta[2 * self.spec.n_branches :]), entries(F)))
+        S = np.array(shape_stress(self.kernel, tuple(self.theta[2 * self.n :]), entries(F)))
         return np.concatenate([h[: -len(S)], S])
 
 
@@ -73,16 +80,52 @@ def test_dot_product_of_the_stress(law, n, dim, rng):
 @LAW
 @BRANCHES
 @DIM
+def test_dot_product_of_the_stress_in_motion(law, n, dim, rng):
+    term, (F, _) = Relaxing(law, n, rng), states(dim, rng)
+    kernel, dt = term.moving(0.03)[0], 0.03
+    h, h_dot = rng.normal(size=(2, term.n_rows[dim], N))
+    F_dot, tau_bar = rng.normal(size=(2, *F.shape))
+    theta_dot = 0.1 * term.theta * rng.normal(size=term.theta.shape)
+
+    def along(s):
+        theta = term.moving(dt, term.theta + s * theta_dot)[1]
+        tau = kirchhoff(kernel, theta, entries(F + s * F_dot), entries(0 * F), tuple(h + s * h_dot))
+        return (matrices(tau) * tau_bar).sum((1, 2))
+
+    forward = richardson(along)
+    found = kirchhoff_vjp(kernel, term.moving(dt)[1], entries(F), entries(0 * F), tuple(h), entries(tau_bar))
+    backward = (matrices(found[1]) * F_dot).sum((1, 2)) + (np.array(found[3]) * h_dot).sum(0)
+    backward += (np.array([row + np.zeros(N) for row in found[0][:-n]]) * theta_dot).sum(0)
+    np.testing.assert_allclose(backward, forward, rtol=0, atol=1e-9 * np.abs(forward).max())
+
+
+@LAW
+@DIM
+def test_in_motion_the_stress_is_the_laws_and_that_of_the_branches(law, dim, rng):
+    term, (F, _) = Relaxing(law, 2, rng), states(dim, rng)
+    h = term.at(F, rng.normal(size=(term.n_rows[dim], N)))
+    theta = tuple(term.theta[4:])
+    apart = matrices(kirchhoff(term.spec._law.kernel_term(None), theta, entries(F), entries(0 * F), ()))
+    apart += term.tau(F, h)
+    kernel, theta = term.moving(0.01)
+    both = matrices(kirchhoff(kernel, theta, entries(F), entries(0 * F), tuple(h)))
+    np.testing.assert_allclose(both, apart, rtol=0, atol=1e-12 * np.abs(apart).max())
+
+
+@LAW
+@BRANCHES
+@DIM
 def test_dot_product_of_the_update(law, n, dim, rng):
     term, (F, _) = Relaxing(law, n, rng), states(dim, rng, 0.2)
     h, h_dot, bar = rng.normal(size=(3, term.n_rows[dim], N))
     F_dot = rng.normal(size=F.shape)
     theta_dot = 0.1 * term.theta * rng.normal(size=term.theta.shape)
     dt = 0.03
-    found = update_vjp(term.kernel, tuple(term.theta), entries(F), tuple(h), dt, tuple(bar))
+    kernel, theta = term.moving(dt)
+    found = update_vjp(kernel, theta, entries(F), tuple(h), dt, tuple(bar))
     zero = (0 * theta_dot, 0 * F_dot, 0 * h_dot)
     pairs = [
-        (theta_dot, np.array([b + np.zeros(N) for b in found[0]])),
+        (theta_dot, np.array([b + np.zeros(N) for b in found[0][:-n]])),
         (F_dot, matrices(found[1])),
         (h_dot, np.array(found[2])),
     ]
@@ -174,6 +217,7 @@ def on_lanes(term, table, out, width, dt):
         theta = (
             load(term.theta, 0, i), load(term.theta, 1, i), load(term.theta, 2, i), load(term.theta, 3, i),
             load(term.theta, 4, i), load(term.theta, 5, i), load(term.theta, 6, i), load(term.theta, 7, i),
+            load(term.theta, 8, i), load(term.theta, 9, i),
         )  # fmt: skip
         new = update(term, theta, F, h, dt)
         bars = update_vjp(term, theta, F, h, dt, new)
@@ -204,13 +248,15 @@ def test_compiled_it_is_its_plain_twin(real, tolerance, rng):
     F, _ = states(2, rng, 0.2)
     given = np.concatenate([np.array(entries(F)), rng.normal(size=(9, N))])
     given, theta = (np.resize(a.T, (n, len(a))).T.astype(real).astype(float) for a in (given, term.theta))
-    table, view = pack(given, real), term.kernel._replace(theta=pack(theta, real))
-    out = np.zeros((table.shape[0], 9 + 8 + 4 + 9 + 4, width), real)
+    table, view = pack(given, real), in_motion(term.kernel._replace(theta=pack(theta, real)), 0.01)
+    assert type(view) is RelaxingKernel
+    out = np.zeros((table.shape[0], 9 + 10 + 4 + 9 + 4, width), real)
     on_lanes(view, table, out, width, 0.01)
     F, h = tuple(given[:4]), tuple(given[4:])
-    new = update(term.kernel, tuple(theta), F, h, 0.01)
-    bars = update_vjp(term.kernel, tuple(theta), F, h, 0.01, new)
-    wanted = [*new, *bars[0], *bars[1], *bars[2], *kirchhoff(term.kernel, tuple(theta), F, F, new)]
+    kernel, theta = term.moving(0.01, theta)
+    new = update(kernel, theta, F, h, 0.01)
+    bars = update_vjp(kernel, theta, F, h, 0.01, new)
+    wanted = [*new, *bars[0], *bars[1], *bars[2], *kirchhoff(kernel, theta, F, F, new)]
     wanted = np.array([row + np.zeros(n) for row in wanted])
     np.testing.assert_allclose(unpack(out), wanted, rtol=0, atol=tolerance * np.abs(wanted).max())
 

@@ -24,7 +24,7 @@ from cqrun.engine.reference.shape import place_history
 from cqrun.engine.setting import Crew, Group
 from cqrun.engine.transfer import gather, scatter_tile
 from cqrun.materials.history import update_histories, update_histories_vjp
-from cqrun.materials.term import has_history, zeros_like_rows
+from cqrun.materials.term import has_history, is_updated, zeros_like_rows
 from cqrun.numerics.compile import barrier, for_each, kernel, one_body, own_symbols, share
 from cqrun.numerics.lanes import LANE_BYTES
 from cqrun.numerics.packed import pack, unpack
@@ -178,7 +178,7 @@ def catch_up(group: Any, means: Any, run: NodeRun, u: Array, tile: int, end: int
 @overload(catch_up)
 def _catch_up(group, means, run, u, tile, end, thread):
     terms = group.types[group.fields.index("terms")]
-    if not any(has_history(term.instance_class) for term in terms):
+    if not any(is_updated(term.instance_class) for term in terms):
         return lambda group, means, run, u, tile, end, thread: None
 
     def known(group, means, run, u, tile, end, thread):

@@ -67,7 +67,7 @@ class Equilibrium:
         fading = {name for group in model.groups for name in group.fading}
         if lasting := [field.name for field in model.layout.history if field.name not in fading]:
             raise ValueError(f"a material with a history ({', '.join(lasting)}) has no equilibrium of its own")
-        alone = replace(model, surface=None, obstacles=(), reactions=())  # contact is not felt at rest
+        alone = replace(model, surface=None, obstacles=(), reactions=(), static=True)  # contact is not felt at rest
         self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
         self.control, self.run = control, self.rollout.bundle
         self.dim, self.n_nodes = model.dim, len(self.run.nodes.mass)
