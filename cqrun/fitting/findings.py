@@ -17,6 +17,7 @@ from cqrun.fitting.case import Case
 from cqrun.fitting.identifiability import Unknown
 from cqrun.fitting.predictions import identified, substeps_of, write_predictions
 from cqrun.fitting.problem import FitProblem
+from cqrun.fitting.stiffness import fitted_moduli
 from cqrun.fitting.uncertainty import MOST_UNKNOWNS, central_jacobian, intervals
 from cqrun.optimizers.base import Outcome, TrialFailed
 from cqrun.plugin.contract import Array
@@ -86,6 +87,7 @@ def _record_effort(run: RunDirectory, problem: FitProblem) -> None:
 def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -> None:
     unknowns, held = list_unknowns(problem, outcome.x), assumptions.held_numbers(problem)
     result.findings += assumptions.at_bounds(problem, outcome.x, held)
+    result.moduli = fitted_moduli(problem.cases[0].built.scene, unknowns, None)
     if problem.cases[0].built.scene.data is None:
         _no_intervals(result, "a fit to an objective has no noise to compute an interval from")
         return
@@ -97,6 +99,7 @@ def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -
         return
     residuals = problem.residuals(outcome.x)
     uncertainty = intervals(jacobian, residuals, problem.series(), unknowns)
+    result.moduli = fitted_moduli(problem.cases[0].built.scene, unknowns, uncertainty)
     for block in problem.params.blocks:
         names = _names(block)
         entry = result.unknowns[block.path]

@@ -17,6 +17,7 @@ from cqrun.fitting.findings import write_findings
 from cqrun.fitting.predictions import write_prediction_alone
 from cqrun.fitting.problem import FitProblem
 from cqrun.fitting.runners import how_long
+from cqrun.fitting.stiffness import LONG, ONCE
 from cqrun.jobs.job import NO_FILES, Job, Need
 from cqrun.optimizers.base import Outcome
 from cqrun.running.bodies import report_bodies, resolved_lines
@@ -128,6 +129,7 @@ class Sysid(Job[Identification, SysidResult]):
                 ("unknown", "value", "95 % interval", "unit", "from"),
                 [row for path, unknown in result.unknowns.items() for row in _unknown(scene, path, unknown)],
             )
+        yield from _moduli(result)
         reasons = {path: unknown.reason for path, unknown in result.unknowns.items() if unknown.reason}
         if reasons:
             yield ""
@@ -272,6 +274,20 @@ def _unknown(scene: Scene, path: str, unknown: Identified) -> Iterator[tuple[str
         return
     for k, (value, interval, initial) in enumerate(zip(values, intervals, initials, strict=True)):
         yield unknown.names(path)[k], number(value), _interval(interval), unit, number(initial)
+
+
+def _moduli(result: SysidResult) -> Iterator[str]:
+    """Yield Young's moduli that follow from the unknowns."""
+    rows = []
+    for body, moduli in result.moduli.items():
+        names = {LONG: "after a long time", ONCE: "against a sudden change"} if ONCE in moduli else {LONG: ""}
+        rows += [
+            (f"E of '{body}' {name}".rstrip(), number(moduli[kind].value), _interval(moduli[kind].interval), "Pa")
+            for kind, name in names.items()
+        ]
+    if rows:
+        yield ""
+        yield from table(("Young's modulus at small strains", "value", "95 % interval", "unit"), rows)
 
 
 def _interval(pair: Interval | None) -> str:

@@ -117,6 +117,10 @@ class Prony(MaterialTerm):
         return sum(getattr(self, f"ratio_{k}") is not None for k in _EVERY)
 
     @property
+    def at_once(self) -> float:
+        return 1.0 + sum(float(getattr(self, f"ratio_{k}")) for k in range(1, self.n_branches + 1))
+
+    @property
     def times(self) -> tuple[float, ...]:
         """The relaxation times [s]."""
         return tuple(float(getattr(self, f"time_{k}")) for k in range(1, self.n_branches + 1))

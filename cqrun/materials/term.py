@@ -80,6 +80,11 @@ class MaterialTerm(Plugin):
     relaxes: ClassVar[bool] = False
     """Whether a term with a history has no stress where bodies have rested for long, so that equilibria exist."""
 
+    @property
+    def at_once(self) -> float:
+        """By how much a sudden change of shape meets more than the shear modulus of the law."""
+        return 1.0
+
     def bind(self, law: Any) -> None:
         """Take note of the elastic law of the material; called once, before anything else."""
 

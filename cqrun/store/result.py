@@ -115,11 +115,19 @@ class HeldNumber(Part):
     misfit: float | None = optional()
 
 
+class Modulus(Part):
+    """A modulus that follows from the unknowns, and its interval, if that is known [Pa]."""
+
+    value: float
+    interval: Interval | None = None
+
+
 class SysidResult(Search):
     """The result of an identification.
 
     Attributes:
         unknowns: the unknowns by key path.
+        moduli: Young's moduli at small strains that follow from the unknowns, by body and kind.
         held: densities and elastic constants that the intervals hold fixed, by key path.
         recordings: the errors of each recording by name; None if nothing was predicted, or there are no data.
         fracture: for each body, the most pairs of neighbours lost at one time; None if nothing was predicted.
@@ -128,6 +136,7 @@ class SysidResult(Search):
 
     job: Literal["sysid"] = "sysid"
     unknowns: dict[str, Identified]
+    moduli: dict[str, dict[str, Modulus]] = Field(default_factory=dict, exclude_if=lambda moduli: not moduli)
     held: dict[str, HeldNumber] = Field(default_factory=dict, exclude_if=lambda held: not held)
     recordings: dict[str, RecordingError] | None = None
     fracture: dict[str, int] | None = None

@@ -17,7 +17,7 @@ from cqrun.store.trajectory import read_trajectory
 
 pytestmark = needs_jit
 
-PRONY = "bodies.beam.material.prony"
+PRONY, LAW = "bodies.beam.material.prony", "bodies.beam.material.elastic.neo_hookean"
 SCENE = """\
 cqrun: 1
 world: {size: [0.18, 0.16], dx: 0.01, gravity: [0, -9.81]}
@@ -110,6 +110,10 @@ def test_a_fit_finds_the_branch(tmp_path):
     assert found[f"{PRONY}.time_1"]["value"] == pytest.approx(0.03, rel=0.03)
     low, high = found[f"{PRONY}.time_1"]["interval"]
     assert low < 0.03 < high
+    moduli = result_of(run)["moduli"]["beam"]
+    low, high = moduli["youngs_modulus_at_once"]["interval"]
+    assert low < 1.875e5 < high  # 9 K mu / (3 K + mu) of the true values, with 1.3 mu
+    assert moduli["youngs_modulus"]["interval"] == pytest.approx(found[f"{LAW}.youngs_modulus"]["interval"])
 
 
 def test_threads_change_no_bit(tmp_path):
