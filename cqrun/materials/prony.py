@@ -18,10 +18,22 @@ from __future__ import annotations
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-from numba.extending import overload, register_jitable
+from numba.extending import register_jitable
 from pydantic import PrivateAttr, model_validator
 
 from cqrun.explain import complaint, finding
+from cqrun.materials.branches import (
+    all_rows,
+    branch,
+    dot_rows,
+    in_branches,
+    law_rows,
+    no_rows,
+    repeated,
+    scale_rows,
+    summed,
+    with_law,
+)
 from cqrun.materials.term import (
     MaterialTerm,
     add_rows,
@@ -31,10 +43,8 @@ from cqrun.materials.term import (
     register_with_history,
     volume_slope,
     volume_slope_vjp,
-    written_tuple,
     zeros_like_rows,
 )
-from cqrun.numerics.compile import written
 from cqrun.numerics.packed import pack, unpack
 from cqrun.numerics.symmetric import from_rows, from_rows_vjp, to_rows, to_rows_vjp
 from cqrun.numerics.tensor import add, cofactor, det, mul, mul_at, mul_bt, plus_diagonal, scale, symmetric, trace
@@ -154,9 +164,6 @@ class Prony(MaterialTerm):
 _EVERY = range(1, MOST + 1)
 
 
-# --- parts of theta and of the history --------------------------------------------------------------------------------
-
-
 def in_motion(view: PronyKernel, dt: float) -> RelaxingKernel:
     """Return the view for substeps dt [s]."""
     theta, n = unpack(view.theta), len(view.branches)
@@ -164,113 +171,6 @@ def in_motion(view: PronyKernel, dt: float) -> RelaxingKernel:
     half = np.exp(-0.5 * dt / np.where(time > 0.0, time, 1.0))  # columns between bodies have no times
     theta = pack(np.concatenate([theta, half]), view.theta.dtype)
     return RelaxingKernel(theta, view.rows + (0,) * n, *view[2:])
-
-
-def law_rows(theta: Any, branches: Any) -> Any:
-    """Return the rows of the elastic law."""
-    return theta[2 * len(branches) : len(theta) - len(branches)]
-
-
-@overload(law_rows)
-def _law_rows(theta, branches):
-    begin, count = 2 * len(branches), len(theta) - 3 * len(branches)
-    entries = "".join(f"theta[{begin + r}], " for r in range(count))
-    return written(f"lambda theta, branches: ({entries})")
-
-
-def in_branches(function: Any, name: str, arguments: str) -> Any:
-    """Return the function that joins function(ratio, time, half, k, ...) of all branches to one tuple.
-
-    k is the branch's number, and half is exp(-dt/(2 time)).
-    """
-
-    def every(theta: Any, branches: Any, *given: Any) -> Any:
-        n = len(branches)
-        parts = [function(theta[2 * k], theta[2 * k + 1], theta[k - n], k, *given) for k in range(n)]
-        return tuple(entry for part in parts for entry in part)
-
-    def compiled(theta: Any, branches: Any) -> Any:
-        first = len(theta) - len(branches)
-        parts = [
-            f"one(theta[{2 * k}], theta[{2 * k + 1}], theta[{first + k}], {k}, {arguments})"
-            for k in range(len(branches))
-        ]
-        return written(f"lambda theta, branches, {arguments}: {' + '.join(parts)}", {"one": one})
-
-    one = register_jitable(function)
-    scope: dict[str, Any] = {"every": every, "compiled": compiled}
-    exec(f"def {name}(theta, branches, {arguments}):\n    return every(theta, branches, {arguments})", scope)
-    exec(f"def choose(theta, branches, {arguments}):\n    return compiled(theta, branches)", scope)
-    overload(scope[name])(scope["choose"])
-    return scope[name]
-
-
-def branch(h: Any, k: int, rows: Any) -> Any:
-    """Return the rows of branch k of a history, as many as `rows` has."""
-    n = len(rows)
-    return tuple(h[k * n + r] for r in range(n))
-
-
-@overload(branch)
-def _branch(h, k, rows):
-    return written("lambda h, k, rows: " + written_tuple(f"h[k * {len(rows)} + {{r}}]", len(rows)))
-
-
-def summed(h: Any, branches: Any) -> Any:
-    """Return the sum over the branches of the rows of their H; those of S come last."""
-    n = len(h) // (len(branches) + 1)
-    return tuple(sum(h[k * n + r] for k in range(len(branches))) for r in range(n))
-
-
-@overload(summed)
-def _summed(h, branches):
-    n = len(h) // (len(branches) + 1)
-    entries = ", ".join(" + ".join(f"h[{k * n + r}]" for k in range(len(branches))) for r in range(n))
-    return written(f"lambda h, branches: ({entries},)")
-
-
-def with_law(h: Any, branches: Any) -> Any:
-    """Return the rows of S plus the sum of those of all H."""
-    n = len(h) // (len(branches) + 1)
-    return tuple(sum(h[k * n + r] for k in range(len(branches) + 1)) for r in range(n))
-
-
-@overload(with_law)
-def _with_law(h, branches):
-    n = len(h) // (len(branches) + 1)
-    entries = ", ".join(" + ".join(f"h[{k * n + r}]" for k in range(len(branches) + 1)) for r in range(n))
-    return written(f"lambda h, branches: ({entries},)")
-
-
-def all_rows(theta: Any, branches_bar: Any, law_bar: Any) -> Any:
-    """Return the cotangent of all rows from those of the branches and of the law; the last rows have none."""
-    return branches_bar + law_bar + tuple(row * 0.0 for row in theta[len(branches_bar) + len(law_bar) :])
-
-
-@overload(all_rows)
-def _all_rows(theta, branches_bar, law_bar):
-    zeros = "".join(f"theta[{r}] * 0.0, " for r in range(len(branches_bar) + len(law_bar), len(theta)))
-    return written(f"lambda theta, branches_bar, law_bar: branches_bar + law_bar + ({zeros})")
-
-
-def no_rows(theta: Any, branches: Any) -> Any:
-    """Return zeros for the rows of the branches."""
-    return tuple(row * 0.0 for row in theta[: 2 * len(branches)])
-
-
-@overload(no_rows)
-def _no_rows(theta, branches):
-    return written("lambda theta, branches: " + written_tuple("theta[{r}] * 0.0", 2 * len(branches)))
-
-
-def repeated(rows: Any, branches: Any, last: Any) -> Any:
-    """Return a tuple as often as there are branches, one after the other, and then the last one."""
-    return rows * len(branches) + last
-
-
-@overload(repeated)
-def _repeated(rows, branches, last):
-    return written(f"lambda rows, branches, last: {' + '.join([*['rows'] * len(branches), 'last'])}")
 
 
 # --- stress -----------------------------------------------------------------------------------------------------------
@@ -359,26 +259,6 @@ def branch_fades(ratio: Any, time: Any, half: Any, k: int, change: Any, bars: An
 def branch_pulls(ratio: Any, time: Any, half: Any, k: int, change: Any, bars: Any) -> Any:
     """Return the cotangent of the change of S through branch k."""
     return scale_rows(branch(bars, k, change), ratio * half)
-
-
-def scale_rows(a: Any, s: Any) -> Any:
-    """Return the entries of a tuple times a number."""
-    return tuple(entry * s for entry in a)
-
-
-@overload(scale_rows)
-def _scale_rows(a, s):
-    return written("lambda a, s: " + written_tuple("a[{r}] * s", len(a)))
-
-
-def dot_rows(a: Any, b: Any) -> Any:
-    """Return the sum of the products of the entries of two tuples."""
-    return sum(x * y for x, y in zip(a, b, strict=True))
-
-
-@overload(dot_rows)
-def _dot_rows(a, b):
-    return written("lambda a, b: " + " + ".join(f"a[{r}] * b[{r}]" for r in range(len(a))))
 
 
 updates = in_branches(branch_update, "updates", "h, change")
