@@ -20,7 +20,7 @@ from cqrun.scene.schema import Scene
 from cqrun.store.result import Modulus
 
 STEP = 1e-4
-"""Difference step in a working coordinate, relative to its size."""
+"""Difference step in a working coordinate, relative to its size, or to the distance of its bounds if that is less."""
 
 LONG, ONCE = "youngs_modulus", "youngs_modulus_at_once"
 
@@ -52,7 +52,7 @@ def _moduli(
     scene: Scene, body: str, unknowns: Sequence[Unknown], own: list[int], uncertainty: Uncertainty | None,
     confidence: float,
 ) -> dict[str, Modulus]:  # fmt: skip
-    """Return the moduli of a body whose unknowns have the numbers `own`; none if no unknown changes them."""
+    """Return those moduli of a body that its unknowns, with the numbers `own`, change."""
     z = np.array([unknowns[k].coordinate for k in own])
 
     def logarithms(point: np.ndarray) -> np.ndarray:
@@ -60,16 +60,20 @@ def _moduli(
         return np.log(list(small_strain_moduli(with_values(scene, values).bodies[body].material).values()))
 
     here, names = logarithms(z), list(small_strain_moduli(scene.bodies[body].material))
-    steps = STEP * np.maximum(np.abs(z), 1.0)
+    # at a bound the difference is one-sided: a value beyond it may be none, such as a negative ratio
+    lower, upper = np.array([unknowns[k].ends for k in own]).T
+    steps = STEP * np.minimum(np.maximum(np.abs(z), 1.0), upper - lower)
+    ends = np.maximum(z - steps, lower), np.minimum(z + steps, upper)
     slopes = [
-        (logarithms(z + h * e) - logarithms(z - h * e)) / (2 * h) for h, e in zip(steps, np.eye(len(z)), strict=True)
+        (logarithms(np.where(e, ends[1], z)) - logarithms(np.where(e, ends[0], z))) / (ends[1][k] - ends[0][k])
+        for k, e in enumerate(np.eye(len(z), dtype=bool))
     ]
-    if not names or not np.any(slopes):
-        return {}
     moduli = {}
     for name, log_e, slope in zip(names, here, np.array(slopes).T, strict=True):
         interval = None
         used = np.flatnonzero(np.abs(slope) > 1e-9)
+        if not len(used):
+            continue
         place = np.array(own)[used]
         if uncertainty is not None and np.isfinite(uncertainty.covariance[np.ix_(place, place)]).all():
             error = np.sqrt(slope[used] @ uncertainty.covariance[np.ix_(place, place)] @ slope[used])

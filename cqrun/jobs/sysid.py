@@ -284,6 +284,7 @@ def _moduli(result: SysidResult) -> Iterator[str]:
         rows += [
             (f"E of '{body}' {name}".rstrip(), number(moduli[kind].value), _interval(moduli[kind].interval), "Pa")
             for kind, name in names.items()
+            if kind in moduli
         ]
     if rows:
         yield ""

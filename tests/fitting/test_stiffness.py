@@ -72,3 +72,20 @@ def test_a_modulus_that_is_an_unknown_is_not_told_twice():
 def test_a_body_without_one_law_of_its_own_has_none(name):
     scene = load_scene(SCENE)
     assert fitted_moduli(scene, [Unknown(name, 100.0, 50.0, 500.0)], None) == {}
+
+
+@pytest.mark.parametrize("ratio", [0.0, 1.0e-5, 1.0])
+def test_a_value_at_its_bound_has_moduli(ratio):
+    """Beyond its bound it would be no ratio."""
+    unknowns = [Unknown("bodies.beam.material.prony.ratio_1", ratio, 0.0, 1.0)]
+    found = fitted_moduli(load_scene(SCENE), unknowns, known(unknowns, [0.013]))["beam"]
+    assert LONG not in found  # no unknown changes it
+    half = 1.959964 * 0.013 / (1 + ratio)
+    np.testing.assert_allclose(np.log(np.array(found[ONCE].interval) / found[ONCE].value), [-half, half], rtol=1e-3)
+
+
+def test_a_poissons_ratio_next_to_one_half_has_a_modulus():
+    unknowns = [Unknown(f"{LAW}.poissons_ratio", 0.49995, 0.3, 0.49999)]
+    found = fitted_moduli(load_scene(SCENE), unknowns, known(unknowns, [1e-4]))["beam"]
+    half = 1.959964 * 1e-4 / 1.49995
+    np.testing.assert_allclose(np.log(np.array(found[LONG].interval) / found[LONG].value), [-half, half], rtol=1e-2)
