@@ -12,22 +12,23 @@ from cqrun.build.volumes import can_average
 from cqrun.errors import Problem
 from cqrun.materials.curves import stable_to
 from cqrun.materials.moduli import moduli_of
-from cqrun.scene.body import Body
+from cqrun.scene.material import Material, RegionMaterial
 from cqrun.scene.schema import Scene
 
 STABLE = 2.0
 """A law that loses stability below this stretch is warned about: soft robots stretch so far."""
 
-LONG = 100.0
-"""A branch that relaxes in a run by less than 1 % is warned about."""
+LONG = 10.0
+"""A branch that relaxes in a run by less than 10 % is warned about."""
 
 
 def material_warnings(scene: Scene) -> Iterator[Problem]:
     """Yield warnings about laws that are unstable in tension, and about relaxation times."""
     for name, body in scene.bodies.items():
-        for path, message in (*_unstable(body), *_out_of_time(scene, body)):
-            where = f"bodies.{name}.material.{path}"
-            yield Problem(scene.where(where), where, message)
+        for place, material in body.materials.items():
+            for path, message in (*_unstable(material), *_out_of_time(scene, material)):
+                where = f"bodies.{name}.{place}.{path}"
+                yield Problem(scene.where(where), where, message)
 
 
 def relaxation_problems(scene: Scene) -> Iterator[Problem]:
@@ -58,9 +59,11 @@ def _relaxes(term: Any, scene: Scene) -> bool:
     return bool(term.relaxes and fields_of(term, scene.dim))
 
 
-def _unstable(body: Body) -> Iterator[tuple[str, str]]:
+def _unstable(material: Material | RegionMaterial) -> Iterator[tuple[str, str]]:
     """Yield a law with a test in which its force falls while it is stretched (Drucker)."""
-    elastic = body.material.elastic
+    elastic = material.elastic
+    if elastic is None:
+        return
     law: Any = elastic.value
     if moduli_of(law) is None:
         return
@@ -74,12 +77,12 @@ def _unstable(body: Body) -> Iterator[tuple[str, str]]:
         )
 
 
-def _out_of_time(scene: Scene, body: Body) -> Iterator[tuple[str, str]]:
+def _out_of_time(scene: Scene, material: Material | RegionMaterial) -> Iterator[tuple[str, str]]:
     """Yield relaxation times that are shorter than a substep, or much longer than the run."""
     if scene.time is None or scene.time.substeps == "auto":
         return
     dt = scene.time.control_step / int(scene.time.substeps)
-    for key, term in body.material.terms.items():
+    for key, term in material.terms.items():
         times = getattr(term, "times", ()) if term.relaxes else ()  # type: ignore[attr-defined]  # a term, by its kind
         for k, time in enumerate(times, 1):
             if time < dt:

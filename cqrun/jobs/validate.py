@@ -135,9 +135,10 @@ def _body(built: Built, name: str, thinnest: Thinnest) -> Iterator[str]:
     yield line(f"body {name}", made_of(built, name))
     yield line("", lies(built, name))
     yield line("", resolved(thinnest))
-    elastic = built.scene.bodies[name].material.elastic
-    if words := at_rest_words(elastic.value):
-        yield line("", f"{elastic.name}: {words}")
+    for place, material in built.scene.bodies[name].materials.items():
+        if material.elastic is not None and (words := at_rest_words(material.elastic.value)):
+            region = place.partition(".")[2]
+            yield line("", f"{material.elastic.name}{' of ' * bool(region)}{region}: {words}")
     groups = [f"{group} {len(members):,}" for group, members in built.particles.groups(name).items()]
     if groups:
         yield line("", f"groups: {listed(groups)}")

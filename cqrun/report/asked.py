@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from cqrun.explain import listed
 from cqrun.materials.moduli import at_rest_words
 from cqrun.plugin.choice import Chosen
 from cqrun.report.blocks import Block, Facts
@@ -43,11 +44,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "Task", task(subject)
     yield "World", _world(scene)
     yield "Bodies", "; ".join(_body(name, body) for name, body in list(scene.bodies.items())[:12])
-    laws = {body.material.elastic.name: body.material.elastic.value for body in scene.bodies.values()}
-    yield (
-        "Materials",
-        some((f"{law}: {words}" for law, spec in laws.items() if (words := at_rest_words(spec))), between="; "),
-    )
+    yield "Materials", some(_laws(scene), between="; ")
     yield "Boundaries", _plugins(scene.boundaries)
     yield "Loads", _plugins(scene.loads)
     yield "Forces", _plugins(scene.forces)
@@ -77,10 +74,16 @@ def _world(scene: Scene) -> str:
     return f"{scene.dim}D, {size} m, cells of {short(world.dx)} m{gravity}, frame: {world.frame}"
 
 
-def _material(body: Body) -> str:
-    """Return a law with its moduli at rest, if it tells them."""
-    words = at_rest_words(body.material.elastic.value)
-    return body.material.elastic.name + (f": {words}" if words else "")
+def _laws(scene: Scene) -> Iterator[str]:
+    """Yield the laws of bodies and regions with their moduli at rest, each once with the places that have it."""
+    found: dict[str, list[str]] = {}
+    for name, body in scene.bodies.items():
+        for place, material in body.materials.items():
+            if material.elastic is not None and (words := at_rest_words(material.elastic.value)):
+                where = ".".join([clipped(name, 60), *place.split(".")[1:]])
+                found.setdefault(f"{material.elastic.name}: {words}", []).append(where)
+    for law, places in found.items():
+        yield law if len(found) == 1 else f"{listed(places, 8)}: {law}"
 
 
 def _body(name: str, body: Body) -> str:

@@ -85,6 +85,11 @@ class Body(Spec):
         return {f"parts.{name}": chosen.value for name, chosen in (self.parts or {}).items()}
 
     @property
+    def materials(self) -> dict[str, Material | RegionMaterial]:
+        """The material of the body and those of its regions, by their key path inside the body."""
+        return {"material": self.material, **{f"material_of.{name}": own for name, own in self.material_of.items()}}
+
+    @property
     def group_names(self) -> tuple[str, ...]:
         """The names of all groups, in the order of the values of an unknown with `per: group`."""
         return (*(self.parts or {}), *self.colours, *self.groups)

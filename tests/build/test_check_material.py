@@ -47,11 +47,23 @@ def test_a_law_that_loses_stability_is_warned_about():
     assert warned({"yeoh": YEOH}) == []
 
 
+def test_the_material_of_a_region_is_warned_about_like_that_of_the_body():
+    left = {"elastic": {"yeoh": YEOH | {"c20": -120.0}}, "prony": {"ratio_1": 0.1, "time_1": 1e-4}}
+    given = scene({"yeoh": YEOH}, {"ratio_1": 0.1, "time_1": 0.05}).model_dump(exclude_none=True, exclude_defaults=True)
+    given["bodies"]["bar"] |= {
+        "groups": {"left": {"box": {"corner": [0, 0], "size": [0.05, 0.1]}}},
+        "material_of": {"left": left},
+    }
+    law, branch = [str(w) for w in build(load_scene(given)).warnings]
+    assert "bodies.bar.material_of.left.elastic.yeoh: has its largest force in equibiaxial tension" in law
+    assert "bodies.bar.material_of.left.prony.time_1: 0.0001 s is shorter than a substep of 0.0005 s" in branch
+
+
 @pytest.mark.parametrize(
     ("time", "words"),
     [
         (1e-4, "prony.time_2: 0.0001 s is shorter than a substep of 0.0005 s"),
-        (11.0, "prony.time_2: 11 s is more than 100 times as long as the run"),
+        (1.1, "prony.time_2: 1.1 s is more than 10 times as long as the run"),
     ],
 )
 def test_times_that_no_run_shows_are_warned_about(time, words):
@@ -71,6 +83,19 @@ def test_a_law_that_does_not_tell_the_part_of_its_volume_cannot_relax(monkeypatc
     monkeypatch.setattr("cqrun.build.volumes.has_volume", lambda kernel_class: False)
     with pytest.raises(SceneError, match="prony: relaxes what `yeoh` answers to a change of shape"):
         build(scene({"yeoh": YEOH}, {"ratio_1": 0.1, "time_1": 0.05}))
+
+
+def test_validate_tells_the_moduli_of_a_region(tmp_path):
+    path = tmp_path / "bar.yaml"
+    given = scene({"yeoh": YEOH}).model_dump(exclude_none=True, exclude_defaults=True)
+    given["bodies"]["bar"] |= {
+        "groups": {"left": {"box": {"corner": [0, 0], "size": [0.05, 0.1]}}},
+        "material_of": {"left": {"elastic": {"yeoh": YEOH | {"c10": 700.0}}}},
+    }
+    path.write_text(yaml.safe_dump(given))
+    whole, left = (line for line in validate(path) if "yeoh" in line and "mu" in line)
+    assert "yeoh: mu 1000 Pa" in whole
+    assert "yeoh of left: mu 1400 Pa" in left
 
 
 def test_validate_tells_the_moduli_and_the_stable_range(tmp_path):
