@@ -8,7 +8,7 @@ from cqrun.errors import DataError
 from cqrun.plugin.contract import Array
 from cqrun.tensile.columns import OPTICAL
 from cqrun.tensile.curve import Curve, Given
-from cqrun.tensile.slack import SMALLEST, find_slack
+from cqrun.tensile.slack import LARGEST, SMALLEST, find_slack
 
 FEWEST = 3
 """A curve has at least so many points."""
@@ -85,6 +85,11 @@ def require_one_test(curve: Curve) -> None:
 
 def _require_signs(curve: Curve) -> None:
     strain = curve.stretch - 1.0
+    if not curve.stress.any():
+        raise DataError(
+            f"{curve.source}: the stress is zero at all points: a test has a stress that grows; is it the right "
+            "column? --column stress=N says which one it is"
+        )
     if float(strain @ curve.stress) < 0.0:
         pulled = float(strain.sum()) > 0.0
         signs = ("negative", "positive") if pulled else ("positive", "negative")
@@ -172,6 +177,12 @@ def _taut(curve: Curve, given: Given) -> Curve:
         why = "where the steepest tangent near the start meets zero stress; --slack 0 keeps the strain of the file"
     if slack == 0.0:
         return curve
+    if given.slack is None and slack >= LARGEST:
+        return curve.at(
+            slice(None),
+            f"the steepest tangent near the start meets zero stress at a strain of {slack:.2%}, which is much for "
+            f"slack, so nothing is corrected: if the specimen was slack, give --slack {slack:.3g}; if not, --slack 0",
+        )
     kept = strain >= slack
     moved = curve.at(kept, f"slack at the start: strain counts from {slack:.2%} of the file's, {why}")
     return Curve(**{**vars(moved), "stretch": moved.stretch - slack})

@@ -121,7 +121,7 @@ def is_relaxation(curve: Curve) -> bool:
     start = _held_from(curve)
     held = time[-1] - time[start]
     fallen = 1.0 - abs(curve.stress[-1]) / max(float(np.abs(curve.stress[start:]).max()), 1e-300)
-    return bool(held > HOLDS * np.ptp(time) and fallen > FALLS)
+    return bool(held > HOLDS * np.ptp(time) and (fallen > FALLS or start == 0))
 
 
 def _held_from(curve: Curve) -> int:
@@ -141,7 +141,10 @@ def fit_relaxation(curve: Curve) -> Relaxation:
     start, time = _held_from(curve), np.asarray(curve.time)
     fallen = 1.0 - curve.stress[-1] / curve.stress[start:].max()
     if fallen < FALLS:
-        raise DataError(f"{curve.source}: the stress falls by {fallen:.1%} while the strain is held: no relaxation")
+        raise DataError(
+            f"{curve.source}: the stress falls by {fallen:.1%} while the strain is held: no relaxation can be told; "
+            "hold it longer, or start the recording before the strain is reached"
+        )
     strain = (curve.stretch - 1.0) / (curve.stretch[-1] - 1.0)
     interval, length = float(np.median(np.diff(time[start:]))), float(time[-1] - time[start])
     shortest = SAMPLES * float(min(interval, np.diff(time[start:])[:5].mean()))

@@ -12,7 +12,7 @@ import numpy as np
 from cqrun.plugin.contract import Array
 
 SMALLEST, LARGEST = 0.005, 0.10
-"""Slack below the first strain is not corrected; more than the second is no slack, but the material's shape."""
+"""Slack below the first strain is not corrected; from the second on it may be the material's shape."""
 
 WINDOW, FEWEST = 0.05, 4
 """Width of a tangent's window in strain, and the fewest points in it."""
@@ -26,6 +26,8 @@ SURE = 3.0
 
 def find_slack(strain: Array, stress: Array) -> float:
     """Return the strain at which a pulled specimen is taut; 0.0 if it is from the start, or if that is uncertain.
+
+    A strain of LARGEST or more may also be the material's shape.
 
     Args:
         strain, stress: (n,) of the first loading.
@@ -46,4 +48,4 @@ def find_slack(strain: Array, stress: Array) -> float:
             steepest, taut = slope, float(u.mean() - v.mean() / slope)
             scatter = float(((v - v.mean() - slope * (u - u.mean())) ** 2).sum()) / (len(u) - 2)
             error = np.sqrt(scatter * (1.0 / len(u) + (u.mean() - taut) ** 2 / spread)) / slope
-    return taut if max(SMALLEST, SURE * error) < taut < LARGEST else 0.0
+    return taut if taut > max(SMALLEST, SURE * error) else 0.0

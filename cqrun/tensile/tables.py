@@ -84,9 +84,21 @@ def read_table(path: Path) -> Table:
             f"{source}:{later.line}: another table begins after line {table[-1].line}: one file is one specimen; write "
             "each table to a file of its own, and give all files together"
         )
+    _require_one_comma(rows[:first], table, separator, source)
     names, units, header = _names(rows[:first], len(table[0].cells))
     columns = tuple(column_of(k, name, unit) for k, (name, unit) in enumerate(zip(names, units, strict=True)))
     return Table(source, separator, header, columns, tuple(table))
+
+
+def _require_one_comma(before: Sequence[Row], table: Sequence[Row], separator: str, source: str) -> None:
+    """Raise a DataError if rows have more cells than there are names, because decimal commas separate them, too."""
+    names = [row.cells for row in before if sum(_is_word(cell) for cell in row.cells) >= FEWEST_NUMBERS]
+    cells = len(table[0].cells)
+    if separator == "," and names and len(names[-1]) < cells and all(map(str.isdigit, table[0].cells[1::2])):
+        raise DataError(
+            f"{source}:{table[0].line}: has {cells} cells, but there are {len(names[-1])} names above: decimal commas "
+            "cannot be told from commas between columns; write decimals with a point, or semicolons between columns"
+        )
 
 
 def _text(path: Path, source: str) -> str:

@@ -84,8 +84,21 @@ def test_no_slack_is_found_in_rubber_that_is_taut():
     assert find_slack(STRAIN, silicone(STRAIN)) == 0.0
     noisy = silicone(STRAIN) + 500.0 * np.random.default_rng(1).standard_normal(len(STRAIN))
     assert find_slack(STRAIN, noisy) == 0.0
-    stiffening = 1e5 * STRAIN**2  # a material that stiffens from the start has no tangent to trust
-    assert find_slack(STRAIN, stiffening) == 0.0
+
+
+@pytest.mark.parametrize("stress", [silicone(np.maximum(STRAIN - 0.15, 0.0)), 1e5 * STRAIN**2])
+def test_slack_that_may_be_the_shape_of_the_material_is_told_and_not_moved(tmp_path, stress):
+    """Much slack looks like a material that stiffens from the start."""
+    path = pull(tmp_path, STRAIN, stress)
+    curve = cleaned(path)
+    assert curve.stretch == pytest.approx(1.0 + STRAIN)
+    assert said(curve, "which is much for slack, so nothing is corrected: if the specimen was slack, give --slack 0.")
+    assert not said(cleaned(path, Given(slack=0.0)), "slack")
+
+
+def test_a_stress_of_zero_everywhere_is_refused(tmp_path):
+    with pytest.raises(DataError, match="the stress is zero at all points"):
+        cleaned(pull(tmp_path, STRAIN, 0.0 * STRAIN))
 
 
 def test_a_specimen_that_slips_ends_the_curve(tmp_path):

@@ -183,6 +183,13 @@ def test_commas_that_may_be_thousands_are_refused(tmp_path):
         read_curves(path, Given())
 
 
+def test_decimal_commas_between_commas_are_refused(tmp_path):
+    path = tmp_path / "commas.csv"
+    path.write_text("Strain (%),Stress (MPa)\n5,000,0,02860\n10,000,0,05471\n15,000,0,07877\n")
+    with pytest.raises(DataError, match=r"commas\.csv:2: has 4 cells, but there are 2 names above: decimal commas"):
+        read_curves(path, Given())
+
+
 @pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\0\0", b"only words\nin here\n"])
 def test_a_file_without_a_table_is_refused(tmp_path, content):
     path = tmp_path / "none.csv"

@@ -60,6 +60,13 @@ def test_times_longer_than_the_test_and_shorter_than_its_samples_are_told():
     assert any("faster than the test can tell" in text for text in fast.findings)
 
 
+def test_a_strain_that_is_held_from_the_start_is_a_relaxation_whose_stress_hardly_falls():
+    slow = relaxing([0.3], [5000.0], np.linspace(0.0, 100.0, 200), ramp=0.0)
+    assert is_relaxation(slow)
+    with pytest.raises(DataError, match=r"falls by 0\.5% while the strain is held: no relaxation can be told; hold it"):
+        fit_relaxation(slow)
+
+
 def test_a_stress_that_stays_is_no_relaxation():
     still = relaxing([], [], TIME)
     assert not is_relaxation(still)
