@@ -53,7 +53,7 @@ def test_it_moves_as_the_policy_does(env):
     env.reset(seed=5)
     while env.control < agent.model.n_controls:
         values = {p.removeprefix("controller."): v for p, v in agent.acting.items()}
-        env.step(agent.controller.act(values, env.seen, env.control, 0.0))
+        env.step(agent.controller.act(values, env.observation, env.control, 0.0))
     whole = agent.rollout(agent.acting, env.goals, 1)
     found = agent.judged(whole, whole.run(), env.goals)
     np.testing.assert_array_equal(env.rollout.records, whole.records)
