@@ -16,7 +16,7 @@ from cqrun.engine.suspects import group_of
 from cqrun.engine.team import Team
 from cqrun.errors import RolloutError
 from cqrun.forces.pulled import pulled_lanes
-from cqrun.materials.term import in_motion
+from cqrun.materials.term import in_motion, limit_of
 from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import pack
 from cqrun.plugin.contract import Array
@@ -200,6 +200,12 @@ class ForwardRun(ABC):
             control, self.records[control], self.memory[control], lambda: self.unpack(q, control)
         )
         self.decided = control + 1
+
+    def _with_limit(self, advice: str, particle: int) -> str:
+        """Return advice about a particle that is not finite, with the limit of its law if that has one."""
+        body = next(k for k, part in enumerate(self.model.layout.slices()) if particle < part.stop)
+        law = next(own for own, g in zip(self.groups, self.model.groups, strict=True) if body in g.bodies).terms[0]
+        return "; ".join(filter(None, [advice, limit_of(type(law))]))
 
     def _report(self, particle: int, step: int, reason: str, advice: str) -> None:
         slices, time = self.model.layout.slices(), step * self.model.dt

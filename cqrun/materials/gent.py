@@ -7,6 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from cqrun.materials.rubber import Rubber, first_invariant, register_rubber
+from cqrun.materials.term import register_limit
 from cqrun.numerics.lanes import below, log, select
 from cqrun.plugin.contract import Array, quantity
 from cqrun.plugin.registry import plugin
@@ -71,3 +72,7 @@ def shear_vjp(theta: Any, mu_bar: Any) -> Any:
 
 
 register_rubber(GentKernel, first_invariant(response, response_vjp, potential, potential_vjp, shear, shear_vjp))
+register_limit(
+    GentKernel,
+    "its law `gent` has no stress from I1b - 3 = jm on: if it is stretched so far, give a larger jm, or load it less",
+)

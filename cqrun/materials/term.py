@@ -62,6 +62,7 @@ _ENERGY = ByClass("energy", "term, theta, F")
 _ENERGY_VJP = ByClass("energy_vjp", "term, theta, F, psi_bar")
 _RATES: set[type] = set()
 _REMEMBERS: set[type] = set()
+_LIMITS: dict[type, str] = {}
 _IN_MOTION: dict[type, tuple[type, Callable[..., Any]]] = {}
 kirchhoff, kirchhoff_vjp, kirchhoff_both, update, update_vjp = (
     f.call for f in (_STRESS, _STRESS_VJP, _BOTH, _UPDATE, _UPDATE_VJP)
@@ -176,6 +177,16 @@ def register_energy(kernel_class: type, energy: Callable[..., Any], energy_vjp: 
     """Register the energy of a kernel class, and its adjoint."""
     _ENERGY.register(kernel_class, energy)
     _ENERGY_VJP.register(kernel_class, energy_vjp)
+
+
+def register_limit(kernel_class: type, sentence: str) -> None:
+    """Register a sentence on the deformation beyond which a kernel class has no stress (NaN)."""
+    _LIMITS[kernel_class] = sentence
+
+
+def limit_of(kernel_class: type) -> str:
+    """Return the sentence on the deformation beyond which a kernel class has no stress; empty if it has none."""
+    return _LIMITS.get(kernel_class, "")
 
 
 def one_after_the_other(stress: Callable[..., Any], stress_vjp: Callable[..., Any]) -> Callable[..., Any]:

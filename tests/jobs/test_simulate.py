@@ -171,3 +171,15 @@ def test_a_body_of_the_reference_frame_stretches_and_does_not_tear(beam, tmp_pat
 def test_the_record_says_where_it_comes_from(beam, tmp_path):
     record = json.loads((simulate(beam, tmp_path, threads=2) / "run.json").read_text())
     assert (record["job"], record["status"], record["threads"]) == ("simulate", "done", 2)
+
+
+@pytest.mark.parametrize("frame", ["reference", "updated"])
+def test_gent_beyond_its_limit_says_so(frame, beam, tmp_path):
+    """It has no stress there, so a shorter substep would not help."""
+    law = "bodies.beam.material.elastic={gent: {mu: 2.0e4, jm: 1.0e-3, poissons_ratio: 0.3}}"
+    with pytest.raises(RunError) as error:
+        simulate(beam, tmp_path, law, f"world.frame={frame}")
+    assert "body 'beam', particle" in str(error.value)
+    assert "its law `gent` has no stress from I1b - 3 = jm on: if it is stretched so far, give a larger jm" in str(
+        error.value
+    )

@@ -291,4 +291,4 @@ class ReferenceRollout(Rollout):
         x = State.unpack(self.bundle.q, self.model.layout, np.zeros(0)).x
         particle = int(np.flatnonzero(~np.isfinite(x).all(axis=1))[0])
         advice = f"the simulation blew up: {why_it_failed(self)}"
-        self._report(particle, step, "its position is not finite", advice)
+        self._report(particle, step, "its position is not finite", self._with_limit(advice, particle))

@@ -97,7 +97,7 @@ class UpdatedRollout(Rollout):
 
     def _fail(self, column: int, step: int, q: Array) -> None:
         """Raise a RolloutError about a particle that is lost, with the likely cause."""
-        x = unpack(q)[: self.model.dim, column]
+        x, particle = unpack(q)[: self.model.dim, column], int(self.model.layout.sources()[column])
         cause = "" if step == 0 else suspect(self.model, self.unpack(q, 0), self.activation_at(step))
         if np.isfinite(x).all():
             reason = f"left the grid at {np.array2string(x.astype(float), precision=4)} m{self._speed(column, q)}"
@@ -106,7 +106,8 @@ class UpdatedRollout(Rollout):
         else:
             reason = "its position is not finite"
             advice = f"the simulation blew up: {cause or 'use smaller substeps, a softer material or weaker actuation'}"
-        self._report(int(self.model.layout.sources()[column]), step, reason, advice)
+            advice = self._with_limit(advice, particle)
+        self._report(particle, step, reason, advice)
 
     def _speed(self, column: int, q: Array) -> str:
         """Return the speed of a particle as text, if it moves by more than half a cell in a substep."""
