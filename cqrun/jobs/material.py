@@ -68,5 +68,5 @@ def make_material(
     relaxations = tuple(fit_relaxation(curve) for curve in held)
     material = characterise(curves, wanted, ratio, talk.phase) if curves else None
     write_text(folder / YAML, fragment_text(material, relaxations))
-    write_json(folder / JSON, as_json(material))
+    write_json(folder / JSON, as_json(material, relaxations))
     return Tested(material, relaxations, folder)

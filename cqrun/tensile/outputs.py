@@ -11,6 +11,7 @@ import numpy as np
 from cqrun.materials.curves import MODES, Mode
 from cqrun.scene.document import write
 from cqrun.tensile.choice import Judged
+from cqrun.tensile.curve import Curve
 from cqrun.tensile.laws import NU
 from cqrun.tensile.material import Material, shown
 from cqrun.tensile.relaxation import Relaxation
@@ -100,22 +101,27 @@ def fragment_text(material: Material | None, relaxations: Sequence[Relaxation] =
     return "".join(f"# {line}\n" for line in comments) + write(fragment(material, relaxations))
 
 
-def as_json(material: Material | None) -> dict[str, Any]:
-    """Return the content of material.json: the chosen law, all laws, and the tests."""
-    if material is None:
-        return {"chosen": None, "laws": {}, "tests": []}
+def as_json(material: Material | None, relaxations: Sequence[Relaxation] = ()) -> dict[str, Any]:
+    """Return the content of material.json: the chosen law, all laws, and the tests; branches if a test relaxes.
+
+    The branches are those of the first relaxation test, as in material.yaml.
+    """
+    laws, pulled = ((), ()) if material is None else (material.laws, material.curves)
+    curves: list[tuple[Curve, float | None]] = [(curve, float(curve.stretch.max())) for curve in pulled]
+    curves += [(each.curve, None if each.strain is None else 1.0 + each.strain) for each in relaxations]
     return {
-        "chosen": material.chosen.law.name,
-        "laws": {item.law.name: _law(item) for item in material.laws},
+        "chosen": None if material is None else material.chosen.law.name,
+        "laws": {item.law.name: _law(item) for item in laws},
         "tests": [
             {
                 "file": curve.source,
                 "mode": curve.mode,
                 "points": len(curve.stretch),
-                "largest_stretch": float(curve.stretch.max()),
+                "largest_stretch": stretch,
             }
-            for curve in material.curves
+            for curve, stretch in curves
         ],
+        **(relaxations[0].prony.fragment() if relaxations else {}),
     }
 
 

@@ -72,6 +72,7 @@ class Relaxation:
 
     Attributes:
         curve: the test, with its times from 0.
+        strain: that is held; None if the file does not say it.
         held_from: when the strain is held [s].
         prony: the branches.
         stress: (n,) of the fit [Pa].
@@ -80,6 +81,7 @@ class Relaxation:
     """
 
     curve: Curve
+    strain: float | None
     held_from: float
     prony: Prony
     stress: Array
@@ -95,9 +97,10 @@ class Relaxation:
         """Return the branches and what is known of them, a line each."""
         g = float(self.prony.moduli.sum())
         branches = ", ".join(f"{m:.3g} at {t:.3g} s" for m, t in zip(self.prony.moduli, self.prony.times, strict=True))
+        size = "of unknown size" if self.strain is None else f"{self.strain:.3g}"
         return [
             f"Relaxation: {self.curve.source}, {len(self.curve.stress)} points over {np.ptp(self._time):.4g} s, strain "
-            f"{self.curve.stretch[-1] - 1:.3g} held from {self.held_from:.3g} s; error {self.rms:.2%}",
+            f"{size} held from {self.held_from:.3g} s; error {self.rms:.2%}",
             f"Branches (modulus relative to the long-term one): {branches}; instantaneous modulus = {1 + g:.4g} times "
             "the long-term one",
             *self.findings,
@@ -137,6 +140,7 @@ def fit_relaxation(curve: Curve) -> Relaxation:
     Raises:
         DataError: the stress does not fall, or there are too few points.
     """
+    known = bool(np.isfinite(curve.stretch).any())
     curve = _whole(curve)
     start, time = _held_from(curve), np.asarray(curve.time)
     fallen = 1.0 - curve.stress[-1] / curve.stress[start:].max()
@@ -152,7 +156,8 @@ def fit_relaxation(curve: Curve) -> Relaxation:
     best = _branches(curve, strain, grid)
     stress, moduli, long_term = best
     findings = _findings(moduli[1], shortest, length, curve)
-    return Relaxation(curve, float(time[start]), Prony(*moduli), stress, long_term, tuple(findings))
+    held = float(curve.stretch[-1] - 1.0) if known else None
+    return Relaxation(curve, held, float(time[start]), Prony(*moduli), stress, long_term, tuple(findings))
 
 
 def _whole(curve: Curve) -> Curve:

@@ -107,9 +107,24 @@ def test_a_relaxation_test_gives_branches(tmp_path):
     assert found.keys() == {"elastic", "prony"}
     expected = {"ratio_1": 0.3, "time_1": 4.0, "ratio_2": 0.1, "time_2": 40.0}
     assert found["prony"] == pytest.approx(expected, rel=0.01)
+    told = json.loads((tmp_path / "material.json").read_text())
+    assert told["prony"] == found["prony"]
+    relaxed = {"file": "relax.csv", "mode": "uniaxial", "points": 600, "largest_stretch": pytest.approx(1.5)}
+    assert relaxed in told["tests"]
+    assert len(told["tests"]) == 2
     scene = load_scene(scene_with({"density": 1070, "file": str(tmp_path / "material.yaml")}))
     assert scene.bodies["beam"].material.terms["prony"].times == pytest.approx((4.0, 40.0), rel=0.01)
     assert "they are NOT converted" in done.output
+
+
+def test_a_relaxation_test_without_strain_claims_none(tmp_path):
+    time = np.linspace(0.0, 100.0, 200)
+    columns = {"Time (s)": time, "Force (N)": 10.0 * (1.0 + 0.3 * np.exp(-time / 10.0))}
+    path = write(tmp_path, columns, header=["Tensile relaxation"], name="relax.csv")
+    done = run(path, "--area", "18mm2", "--out", tmp_path)
+    assert "strain of unknown size held from 0 s" in done.output
+    (test,) = json.loads((tmp_path / "material.json").read_text())["tests"]
+    assert test["largest_stretch"] is None
 
 
 def test_with_branches_the_moduli_are_the_long_term_ones(tmp_path):
