@@ -51,13 +51,15 @@ class ActuatorModel:
     """A part of an actuator, which has one activation, or of a force, which has none.
 
     `kernel` is the class of its kind, `constants` are those of `Actuator.constants`. Particles are in user order; those
-    of a cable are in the order of its route.
+    of a cable are in the order of its route. In the reference frame a force acts on points that ride on the particles,
+    at `offsets` (n, D) from them at rest [m]; without offsets these are the particles themselves.
     """
 
     name: str
     kernel: type
     particles: Array
     constants: Array
+    offsets: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -189,11 +191,33 @@ class Model:
         ends = np.cumsum([0, *(len(a.particles) for a in self.actuators)])
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
+    def force_points(self) -> tuple[Array, Array, dict[int, Array]]:
+        """Return the points of all forces on points: their particles (P,), and their offsets from them (P, D) [m].
+
+        Then, by the number of a part, which of the points are its own.
+        """
+        chosen = [k for k, part in enumerate(self.parts) if is_force(part.kernel)]
+        rows = [np.zeros((0, 1 + self.dim))]
+        for part in (self.parts[k] for k in chosen):
+            offsets = np.zeros((len(part.particles), self.dim)) if part.offsets is None else part.offsets
+            rows.append(np.column_stack([part.particles, offsets]))
+        points, number = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
+        pieces = np.split(number.reshape(-1), np.cumsum([len(own) for own in rows[1:]]))
+        return points[:, 0].astype(np.int64), points[:, 1:], dict(zip(chosen, pieces, strict=False))
+
+    def _columns(self) -> list[Array]:
+        """Return the columns of each part's particles; for forces of the reference frame, the numbers of points."""
+        columns = self.layout.columns()
+        pieces = [columns[part.particles] for part in self.parts]
+        if self.frame == "reference":
+            for k, points in self.force_points()[2].items():
+                pieces[k] = points
+        return pieces
+
     def kernel_drive(self, inputs: Inputs) -> Drive:
         """Return the kernels' view of actuators and forces."""
         weights, rest, parts = inputs.weights, inputs.rest, self.parts
-        columns, (stresses, steady, forces) = self.layout.columns(), self.kinds()
-        pieces, shares = [columns[part.particles] for part in parts], self.weight_slices
+        (stresses, steady, forces), pieces, shares = self.kinds(), self._columns(), self.weight_slices
         if not len(weights):
             weights = np.ones(shares[-1].stop if shares else 0)
 

@@ -49,7 +49,7 @@ class ReferenceBackward(BackwardRun):
         ghost_bar = np.zeros(sum(len(ghost.scale) for ghost in r.ghosts))
         self.bundle = NodeBars(
             u_bar, v_bar, pairs, sums, mass_bar, kept_bar, ghost_bar, outside, self.fields_bar,
-            aligned(run.q.shape, real), np.zeros_like(run.push), r.model.no_push(r.drive.steady), self.coefficient_bar,
+            aligned(run.q.shape, real), r.model.no_push(r.drive.steady), self.coefficient_bar,
             make_shape_bars(r),
         )  # fmt: skip
         self.trial = self.bundle._replace(shape=make_shape_bars(r))  # for sums that do not count

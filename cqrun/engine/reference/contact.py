@@ -11,8 +11,9 @@ from scipy.sparse.linalg import svds
 from cqrun.boundaries.solid import Solids, make_solids
 from cqrun.engine.model import Model
 from cqrun.engine.reference.movers import Movers, SurfaceBars, make_movers, zero_bars
-from cqrun.engine.reference.patches import Patches, make_patches
-from cqrun.engine.reference.rest import RestGeometry, make_points, stencil_slopes, stencil_weights
+from cqrun.engine.reference.patches import make_patches
+from cqrun.engine.reference.points import riding_points
+from cqrun.engine.reference.rest import RestGeometry, stencil_weights
 from cqrun.engine.reference.rub import ONSET
 from cqrun.engine.reference.setting import Points
 from cqrun.numerics.compile import own_symbols
@@ -98,50 +99,13 @@ def in_3d(x: Array) -> Array:
     return np.ascontiguousarray(np.pad(np.asarray(x, np.float64), ((0, 0), (0, 3 - x.shape[1]))))
 
 
-def surface_points(patches: Patches, X: Array, particle: Array, x: Array, dx: float) -> Points:
-    """Return points at rest at x (S, D) [m], each of which moves with the affine motion of its particle.
-
-    w_sn = w_pn + grad w_pn . (X_s - X_p) = w_pn (1 + 4 / dx^2 d_pn . (X_s - X_p)), so that no other nodes are reached
-    than those of the particle, which have mass. X (N, D) are the rest positions of particles.
-    """
-    columns = patches.layout.columns()[particle]
-    node, weight = stencil_weights(patches, columns)
-    f = patches.f[columns]
-    share = 1.0 + 4.0 * np.einsum("skd,sd->sk", _arms(f), x - X[particle]) / dx
-    return make_points(columns, node, weight * share)
-
-
-def _arms(f: Array) -> Array:
-    """Return X_n - X_p of the nodes of stencils [cells] (S, 3^D, D), for the places f (S, D) of particles in them."""
-    offsets = np.stack(np.meshgrid(*[np.arange(3)] * f.shape[1], indexing="ij"), axis=-1).reshape(-1, f.shape[1])
-    return np.asarray(offsets[None] - f[:, None])
-
-
-def surface_points_vjp(
-    patches: Patches, X: Array, particle: Array, x: Array, dx: float, weight_bar: Array
-) -> tuple[Array, Array]:
-    """Return the cotangents of x (S, D) and of X (N, D) from those of the weights (S, 3^D)."""
-    columns = patches.layout.columns()[particle]
-    f, offset = patches.f[columns], x - X[particle]
-    _, weight = stencil_weights(patches, columns)
-    arm = _arms(f)
-    share = 1.0 + 4.0 * np.einsum("skd,sd->sk", arm, offset) / dx
-    x_bar = 4.0 / dx * np.einsum("sk,sk,skd->sd", weight_bar, weight, arm)
-    # by the particle's position: its weights, the arms, and the offset
-    own_bar = np.einsum("sk,sk,skd->sd", weight_bar, share, stencil_slopes(patches, columns)) / dx
-    own_bar -= 4.0 / dx**2 * (weight_bar * weight).sum(axis=1)[:, None] * offset + x_bar
-    X_bar = np.zeros(X.shape)
-    np.add.at(X_bar, particle, own_bar)
-    return x_bar, X_bar
-
-
 def make_surface(model: Model, rest: RestGeometry, x: Array) -> Surface:
     """Return the kernels' view of a model's surface at rest at x (S, D) [m]; an empty x stands for the model's."""
     surface = model.surface
     assert surface is not None
     x = x if len(x) else surface.x
     constants = np.array(surface.stiffness, np.float64), np.array(surface.impedance, np.float64)
-    points = surface_points(rest.patches, rest.x, surface.particle, x, model.dx)
+    points = riding_points(rest.patches, rest.x, surface.particle, x, model.dx)
     return Surface(points, in_3d(x), *constants, ONSET * model.dx)
 
 
@@ -200,7 +164,7 @@ def contact_square(
         node, weight = stencil_weights(patches, columns[begin : begin + CHUNK])
         share = weight * mass[begin : begin + CHUNK, None]
         node_mass += np.bincount(node.ravel(), share.ravel(), patches.n_nodes)
-    points = surface_points(patches, X, particle, x, dx)
+    points = riding_points(patches, X, particle, x, dx)
     place, root = np.searchsorted(points.nodes, points.node), np.sqrt(stiffness)
     value = root[:, None] * points.weight / np.sqrt(node_mass[points.node])
     row = np.repeat(np.arange(len(x)), points.node.shape[1])

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cqrun.engine.model import Inputs, Model
-from cqrun.engine.reference.contact import Contact, make_contact, make_surface, surface_points_vjp
+from cqrun.engine.reference.contact import Contact, make_contact, make_surface
 from cqrun.engine.reference.meet import encounter_each, encounter_each_vjp, encounter_rates_each_vjp
 from cqrun.engine.reference.meeting import Meeting, make_meeting
 from cqrun.engine.reference.movers import zero_bars
+from cqrun.engine.reference.points import riding_points_vjp
 from cqrun.engine.reference.rest import RestGeometry
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
 from cqrun.engine.reference.touch import touch_each, touch_each_vjp, touch_rates_each_vjp
@@ -65,7 +66,7 @@ def rest_bars(contacts: Contacts, rollout: Any) -> tuple[Array, Array]:
     for each in (*contacts.obstacles, *contacts.bodies):
         if rollout.inputs.shaped:
             x = each.surface.rest[:, : model.dim]
-            found = surface_points_vjp(rest.patches, rest.x, surface.particle, x, model.dx, each.bars.weight)
+            found = riding_points_vjp(rest.patches, rest.x, surface.particle, x, model.dx, each.bars.weight)
             surface_bar += found[0] + each.bars.rest[:, : model.dim]
             x_bar += found[1]
     return surface_bar, x_bar

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from cqrun.engine.arrays import first_row_of_v
 from cqrun.engine.exert import add_level_bars_of_each, exert_of_each, exert_of_each_vjp
-from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep, Points
+from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep, PointLoads, Points
 from cqrun.engine.reference.shape import place_pulls
 from cqrun.engine.setting import Crew, Drive
 from cqrun.forces.force import Levels
@@ -19,31 +19,30 @@ from cqrun.state import X
 
 
 @kernel
-def place_points(points: Points, run: NodeRun, u: Array, stride: int, v: Array, crew: Crew) -> None:
-    """Write positions and velocities of all points into `run.q`; node n has row n * stride of u, and row n of v."""
-    q, rest, dim = run.q, run.rest, len(run.setting.dims)
+def place_points(load: PointLoads, run: NodeRun, u: Array, stride: int, v: Array, crew: Crew) -> None:
+    """Write positions and velocities of all points into their table; node n has row n * stride of u, and row n of v."""
+    points, q, rest, dim = load.points, load.q, load.rest, len(run.setting.dims)
     width, V = q.shape[2], first_row_of_v(run.setting.dims)
-    lo, hi = share(len(points.columns), crew.thread, crew.n_threads)
+    lo, hi = share(len(rest), crew.thread, crew.n_threads)
     for j in range(lo, hi):
-        p = points.columns[j]
         for d in range(dim):
-            x, speed = rest[p // width, d, p % width], 0.0
+            x, speed = rest[j, d], 0.0
             for k in range(points.node.shape[1]):
                 x += points.weight[j, k] * u[points.node[j, k] * stride, d]
                 speed += points.weight[j, k] * v[points.node[j, k], d]
-            q[p // width, X + d, p % width] = x
-            q[p // width, V + d, p % width] = speed
+            q[j // width, X + d, j % width] = x
+            q[j // width, V + d, j % width] = speed
     barrier(run.arrivals, crew.n_threads)
 
 
 @kernel
-def pull(pair: tuple[Points, Pulled], drive: Drive, run: NodeRun, at: NodeStep, crew: Crew) -> None:
+def pull(load: PointLoads, drive: Drive, run: NodeRun, at: NodeStep, crew: Crew) -> None:
     """Add all forces on points to `run.force`."""
-    points, pulled = pair
-    place_points(points, run, at.u, 1, at.v, crew)
-    exert_of_each(drive.forces, drive.levels, at.control, run.q, crew)
+    pulled = load.pulled
+    place_points(load, run, at.u, 1, at.v, crew)
+    exert_of_each(drive.forces, drive.levels, at.control, load.q, crew)
     barrier(run.arrivals, crew.n_threads)
-    share_out(points, pulled, pulled.shares.force, run.force, 1, 0, crew)
+    share_out(load.points, pulled, pulled.shares.force, run.force, 1, 0, crew)
     barrier(run.arrivals, crew.n_threads)
 
 
@@ -61,25 +60,30 @@ def share_out(points: Points, pulled: Pulled, force: Array, out: Array, stride: 
 
 
 @kernel
-def pull_vjp(
-    pair: tuple[Points, Pulled], drive: Drive, levels_bar: Levels, run: NodeRun, bars: NodeBars, at: NodeStep,
-    crew: Crew,
-) -> None:  # fmt: skip
-    """Run the adjoint at bars.pairs: add to bars.sums as `press_unit_vjp` does, and to the cotangents of levels."""
-    points, pulled = pair
-    place_points(points, run, bars.pairs, 2, at.v, crew)
-    lo, hi = share(len(points.columns), crew.thread, crew.n_threads)
-    width = bars.push.shape[2]
+def spread_to_points(load: PointLoads, values: Array, stride: int, first: int, crew: Crew) -> None:
+    """Write sum_n w value_n of all points to load.push; node n has row n * stride + first."""
+    points, push = load.points, load.push
+    width = push.shape[2]
+    lo, hi = share(len(load.rest), crew.thread, crew.n_threads)
     for j in range(lo, hi):
-        p = points.columns[j]
-        for d in range(bars.push.shape[1]):
+        for d in range(push.shape[1]):
             total = 0.0
             for k in range(points.node.shape[1]):
-                total += points.weight[j, k] * bars.pairs[2 * points.node[j, k] + 1, d]
-            bars.push[p // width, d, p % width] = total
+                total += points.weight[j, k] * values[stride * points.node[j, k] + first, d]
+            push[j // width, d, j % width] = total
+
+
+@kernel
+def pull_vjp(
+    load: PointLoads, drive: Drive, levels_bar: Levels, run: NodeRun, bars: NodeBars, at: NodeStep, crew: Crew
+) -> None:
+    """Run the adjoint at bars.pairs: add to bars.sums as `press_unit_vjp` does, and to the cotangents of levels."""
+    points, pulled = load.points, load.pulled
+    place_points(load, run, bars.pairs, 2, at.v, crew)
+    spread_to_points(load, bars.pairs, 2, 1, crew)
     barrier(run.arrivals, crew.n_threads)
-    exert_of_each(drive.forces, drive.levels, at.control, run.q, crew)
-    exert_of_each_vjp(drive.forces, drive.levels, at.control, run.q, bars.push, crew)
+    exert_of_each(drive.forces, drive.levels, at.control, load.q, crew)
+    exert_of_each_vjp(drive.forces, drive.levels, at.control, load.q, load.push, crew)
     barrier(run.arrivals, crew.n_threads)
     shares = pulled.shares
     place_pulls(bars.shape, points, pulled, run, bars.pairs, at, crew)
@@ -93,5 +97,6 @@ def pull_vjp(
     barrier(run.arrivals, crew.n_threads)
 
 
+place_points_each = for_each(place_points)
 pull_each = for_each(pull)
 pull_each_vjp = for_each(pull_vjp)

@@ -23,19 +23,21 @@ from cqrun.engine.reference.ghost import GAMMA, Ghost, kernel_ghost, mean_modulu
 from cqrun.engine.reference.history import make_histories, put_histories, rows_of_state
 from cqrun.engine.reference.look import look
 from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, progress
+from cqrun.engine.reference.points import riding_points
 from cqrun.engine.reference.reactions import Reactions, make_reactions, reactions_by_name, rows_of_impulses
 from cqrun.engine.reference.remarks import remarks_on, why_it_failed
 from cqrun.engine.reference.rest import rest_geometry
-from cqrun.engine.reference.setting import TILE, NodeRun, Nodes, NodeSetting, Tiles
+from cqrun.engine.reference.setting import TILE, NodeRun, Nodes, NodeSetting, PointLoads, Tiles
 from cqrun.engine.reference.step import advance, note
 from cqrun.engine.reference.stretch import no_watch
 from cqrun.engine.rollout import Rollout
 from cqrun.engine.setting import Crew
 from cqrun.forces.force import needs_velocity
+from cqrun.forces.pulled import Pulled
 from cqrun.materials.term import needs_rate
-from cqrun.numerics.packed import aligned
+from cqrun.numerics.packed import aligned, pack
 from cqrun.plugin.contract import Array
-from cqrun.state import State
+from cqrun.state import PADDING, State
 
 MOST_GROWTH = 15.0
 """exp of this is how much a reversed run may magnify rounding: damping that runs backwards grows."""
@@ -74,7 +76,8 @@ class ReferenceRollout(Rollout):
         self.groups = self.kernel_groups(inputs.terms, self.drive)
         self.conditions = self.rest.conditions(model, inputs.coefficients)
         self.probe = model.kernel_probe()
-        self.loads = tuple((self.rest.points(pulled.columns), pulled) for pulled in self.drive.pulled)
+        self.loads = tuple(self._point_loads(pulled) for pulled in self.drive.pulled)
+        self.drive = self.drive._replace(pulled=())
         self.contacts = make_contacts(model, self.rest, inputs, self.threads)
         self.means = tuple(make_means(self, g) for g in range(len(model.groups)))
         self.parts = tuple(
@@ -89,6 +92,15 @@ class ReferenceRollout(Rollout):
         self.start = self._make_start()
         self.kept_because = self._why_kept()
         self.reversible = not self.kept_because
+
+    def _point_loads(self, pulled: Pulled) -> PointLoads:
+        """Return the points that forces pull, each of which rides on a particle."""
+        model, X = self.model, self.rest.x
+        particle, offset, _ = model.force_points()
+        rest, n = X[particle] + offset, -(-len(particle) // PADDING) * PADDING
+        points = riding_points(self.rest.patches, X, particle, rest, model.dx)
+        q, push = (pack(np.zeros((rows * model.dim, n)), model.real) for rows in (2, 1))
+        return PointLoads(points, pulled, particle, rest, q, push)
 
     def _make_ghosts(self) -> tuple[Ghost, ...]:
         """Return the ghost penalty, with the mean shear modulus of each body, or none."""
@@ -114,7 +126,7 @@ class ReferenceRollout(Rollout):
         rates = rates or any(needs_velocity(type(force)) for force in self.drive.forces)
         setting = NodeSetting((0,) * model.dim, patches.strides, model.dx, model.dt, model.substeps, (0,) * rates)
         tiles = Tiles(*(aligned((threads, rows * TILE, 4), real) for rows in (1, 3, 1, 3, 3)))
-        push = model.no_push([*self.drive.steady, *self.drive.forces])
+        push = model.no_push(self.drive.steady)
         q = replace(State.at_rest(self.inputs.state.x), history=self.inputs.state.history).pack(model.layout, real)
         force, outside = aligned((n_nodes, 4), real), aligned((n_nodes, 4), real)
         return NodeRun(

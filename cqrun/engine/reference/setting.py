@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from cqrun.engine.transfer import Stencils
+from cqrun.forces.pulled import Pulled
 from cqrun.numerics.compile import own_symbols
 from cqrun.plugin.contract import Array
 
@@ -45,7 +46,7 @@ class Tiles(NamedTuple):
 class Points(NamedTuple):
     """Points of the bodies between the nodes: their weights, and for each node the points that it moves."""
 
-    columns: Array  # (P,) the particle that is the point
+    columns: Array  # (P,) of the particle that moves the point
     node: Array  # (P, 3^D) nodes of a point's stencil
     weight: Array  # (P, 3^D)
     nodes: Array  # (K,) nodes that points reach, increasing
@@ -55,6 +56,20 @@ class Points(NamedTuple):
 
 
 own_symbols(Points)
+
+
+class PointLoads(NamedTuple):
+    """Points that forces pull, and tables of them, packed as the particles' state is."""
+
+    points: Points
+    pulled: Pulled  # its columns are the numbers of the points
+    particle: Array  # (P,) that moves the point, in user order
+    rest: Array  # (P, D) [m]
+    q: Array  # (2 D, n) positions and velocities
+    push: Array  # (D, n) changes or cotangents of the forces
+
+
+own_symbols(PointLoads)
 
 
 class NodeRun(NamedTuple):
@@ -103,7 +118,6 @@ class NodeBars(NamedTuple):
     outside: Array  # (M, 4) of the external forces, summed over a control step
     fields: Array  # of the particles, packed
     q: Array  # (rows, n) of the particles' state, packed; while substeps run, those of the histories
-    push: Array  # (D, n) of the forces on particles in one substep, packed
     steady: Array  # (D, n) of the steady forces, packed
     friction: Array  # (conditions,) of the boundaries' coefficients
     shape: tuple[ShapeBars, ...]  # one entry if rest positions have a cotangent, else none

@@ -26,7 +26,7 @@ import numpy as np
 
 from cqrun.engine.arrays import add_vector, load_F, load_matrix, load_vector, load_x
 from cqrun.engine.reference.fields import put_affine, put_linear
-from cqrun.engine.reference.rest import stencil_slopes
+from cqrun.engine.reference.points import riding_points_vjp
 from cqrun.engine.reference.setting import TILE, NodeRun, NodeStep, Points, ShapeBars
 from cqrun.engine.reference.volume import Means, MeansBars
 from cqrun.engine.setting import Crew
@@ -45,7 +45,7 @@ def make_shape_bars(rollout: Any) -> tuple[ShapeBars, ...]:
     if not rollout.inputs.shaped:
         return ()
     model, n, real = rollout.model, rollout.model.layout.n, rollout.model.real
-    count = sum(len(points.columns) for points, _ in rollout.loads)
+    count = sum(len(load.rest) for load in rollout.loads)
     tiles = (aligned((rollout.threads, rows * TILE, 4), real) for rows in (1, 3))
     return (
         ShapeBars(
@@ -60,9 +60,12 @@ def motion_bar(rollout: Any, shape: ShapeBars) -> Array:
     model, patches = rollout.model, rollout.rest.patches
     columns = model.layout.columns()
     bar = shape.place[columns, 3 - model.dim : 3] / model.dx + unpack(shape.rest)[:, columns].T
-    for points, _ in rollout.loads:
-        slopes = np.einsum("pk,pkd->pd", shape.point_weight, stencil_slopes(patches, points.columns)) / model.dx
-        np.add.at(bar, model.layout.sources()[points.columns], slopes + shape.point_rest)
+    for each in rollout.loads:
+        x_bar, X_bar = riding_points_vjp(
+            patches, rollout.rest.x, each.particle, each.rest, model.dx, shape.point_weight
+        )
+        bar += X_bar
+        np.add.at(bar, each.particle, x_bar + shape.point_rest)
     return np.asarray(bar, np.float64)
 
 
@@ -169,7 +172,7 @@ def place_all_pulls(
 ) -> None:
     """Add the cotangents of points: x = X + sum w u, v = sum w v_n, f_n = w f; those of forces are in the shares."""
     shares, dim = pulled.shares, shape.point_rest.shape[1]
-    lo, hi = share(len(points.columns), crew.thread, crew.n_threads)
+    lo, hi = share(len(points.node), crew.thread, crew.n_threads)
     for j in range(lo, hi):
         for index in range(pulled.begin[j], pulled.begin[j + 1]):
             s = pulled.order[index]

@@ -226,26 +226,26 @@ def _factors(K: Any) -> tuple[Any, bool]:
     return solver, bool((solver.U.diagonal() > 0.0).all())
 
 
-def pulled_points(run: NodeRun, loads: Any, drive: Drive, push: Array, control: int) -> list[Pulled]:
-    """Return the stiffness of forces on points at the state of `run.q`; those on many points are left out.
+def pulled_points(run: NodeRun, loads: Any, drive: Drive, control: int) -> list[Pulled]:
+    """Return the stiffness of forces on points where they are now; those on many points are left out.
 
     Args:
         loads: of a rollout of the reference frame.
-        push: packed table of the forces on particles, which is used and left at zero.
     """
     found: list[Pulled] = []
-    for points, pulled in loads:
+    for load in loads:
+        points, pulled, push = load.points, load.pulled, load.push
         (count, reach), (_, d, width) = points.node.shape, push.shape
         if not 0 < count * d <= MOST_PULLED:
             continue
         place = np.searchsorted(pulled.columns, pulled.shares.columns)
         K = np.zeros((count * d, count, d))
         push[...] = 0.0
-        for k, at in enumerate(points.columns):
+        for k in range(count):
             for axis in range(d):
-                push[at // width, axis, at % width] = 1.0
-                exert_of_each_vjp(drive.forces, drive.levels, control, run.q, push, Crew(0, 1))
-                push[at // width, axis, at % width] = 0.0
+                push[k // width, axis, k % width] = 1.0
+                exert_of_each_vjp(drive.forces, drive.levels, control, load.q, push, Crew(0, 1))
+                push[k // width, axis, k % width] = 0.0
                 np.add.at(K[k * d + axis], place, -pulled.shares.x_bar)
         nodes = np.repeat(np.arange(count), reach), points.node.ravel()
         weights = sparse.csr_array((points.weight.ravel(), nodes), shape=(count, len(run.nodes.mass)))

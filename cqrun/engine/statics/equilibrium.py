@@ -75,7 +75,6 @@ class Equilibrium:
         self.colours = patches.colours
         width = lane_width(real)
         self.A = aligned((patches.layout.n // width, rows_of(self.dim), width), real)
-        self.push = np.zeros_like(self.run.push)
         self.still = aligned((self.n_nodes, 4), real)
         self.holding = Planes(model.conditions, model.size, self.run.nodes.bits, self._places()).holding()
         self.one = [np.ones(1) for _ in self.rollout.shares]
@@ -83,9 +82,7 @@ class Equilibrium:
         self._each(lambda crew: begin_control(self.rollout.drive, self.run, self.colours, control, crew))
         self.outside = self.run.outside.copy()
         self.volumes = MeanVolumes(self.rollout) if any(self.rollout.means) else None
-        self.preconditioner = Preconditioner(
-            self.rollout, self.A, self.push, self.holding, self.volumes, control, slow=slow
-        )
+        self.preconditioner = Preconditioner(self.rollout, self.A, self.holding, self.volumes, control, slow=slow)
 
     @property
     def size(self) -> int:
@@ -106,7 +103,11 @@ class Equilibrium:
 
     def linearise(self, u: Array) -> None:
         """Prepare the tangent and its preconditioner at a displacement."""
-        self._each(lambda crew: find_slopes(self.rollout.parts, self.run, self.A, u, self.still, self.colours, crew))
+        self._each(
+            lambda crew: find_slopes(
+                self.rollout.parts, self.rollout.loads, self.run, self.A, u, self.still, self.colours, crew
+            )
+        )
         if self.volumes is not None:
             self.volumes.prepare()
         self.preconditioner.prepare()
@@ -332,9 +333,7 @@ class Equilibrium:
         """
         r = self.rollout
         self._each(
-            lambda crew: find_change(
-                r.loads, r.ghosts, r.drive, self.run, self.A, self.push, self.colours, p, self.control, crew
-            )
+            lambda crew: find_change(r.loads, r.ghosts, r.drive, self.run, self.A, self.colours, p, self.control, crew)
         )
         if self.volumes is not None:
             self.run.force[:, : self.dim] -= self.volumes.product(p[:, : self.dim])

@@ -6,16 +6,15 @@ from typing import Any
 
 from cqrun.engine.drive import activate_vjp
 from cqrun.engine.exert import exert_of_each_vjp
-from cqrun.engine.reference.forces import pull_each, pull_each_vjp, share_out
+from cqrun.engine.reference.forces import place_points_each, pull_each, pull_each_vjp, share_out, spread_to_points
 from cqrun.engine.reference.ghost import haunt_each, haunt_each_vjp
 from cqrun.engine.reference.look import look
 from cqrun.engine.reference.outside import clear_nodes, spread_forces_vjp
-from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep, Points
+from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep, PointLoads
 from cqrun.engine.reference.sweep import press_each, press_each_vjp
 from cqrun.engine.setting import Crew, Drive
 from cqrun.engine.statics.tangent import find_tangent_each, stiffen
 from cqrun.forces.force import Levels
-from cqrun.forces.pulled import Pulled
 from cqrun.numerics.compile import barrier, for_each, kernel, share
 from cqrun.numerics.records import load4, store4
 from cqrun.plugin.contract import Array
@@ -34,44 +33,36 @@ def find_net(
 
 
 @kernel
-def find_slopes(parts: Any, run: NodeRun, A: Array, u: Array, still: Array, colours: Array, crew: Crew) -> None:
-    """Write the particles' tangents at u to A, and their places to `run.q`."""
+def find_slopes(
+    parts: Any, loads: Any, run: NodeRun, A: Array, u: Array, still: Array, colours: Array, crew: Crew
+) -> None:
+    """Write the particles' tangents at u to A, their places to `run.q`, and those of points to their tables."""
     look(run, u, still, crew)
+    place_points_each(loads, run, u, 1, still, crew)
     find_tangent_each(parts, run, A, u, colours, crew)
     barrier(run.arrivals, crew.n_threads)
 
 
 @kernel
 def find_change(
-    loads: Any, ghosts: Any, drive: Drive, run: NodeRun, A: Array, push: Array, colours: Array, p: Array, control: int,
-    crew: Crew,
-) -> None:  # fmt: skip
+    loads: Any, ghosts: Any, drive: Drive, run: NodeRun, A: Array, colours: Array, p: Array, control: int, crew: Crew
+) -> None:
     """Write the change of the forces with a displacement p to `run.force`, at the state of `find_slopes`."""
     clear_nodes(run.force, run, crew)
     stiffen(run, A, p, colours, crew)
-    pull_change_each(loads, drive, run, push, p, control, crew)
+    pull_change_each(loads, drive, run, p, control, crew)
     haunt_each(ghosts, run, p, crew)
 
 
 @kernel
-def pull_change(
-    pair: tuple[Points, Pulled], drive: Drive, run: NodeRun, push: Array, p: Array, control: int, crew: Crew
-) -> None:
+def pull_change(load: PointLoads, drive: Drive, run: NodeRun, p: Array, control: int, crew: Crew) -> None:
     """Add the change of the forces on points; their tangent is symmetric, so their adjoint gives it."""
-    points, pulled = pair
-    width = push.shape[2]
-    lo, hi = share(len(points.columns), crew.thread, crew.n_threads)
-    for j in range(lo, hi):
-        at = points.columns[j]
-        for d in range(push.shape[1]):
-            total = 0.0
-            for k in range(points.node.shape[1]):
-                total += points.weight[j, k] * p[points.node[j, k], d]
-            push[at // width, d, at % width] = total
+    pulled = load.pulled
+    spread_to_points(load, p, 1, 0, crew)
     barrier(run.arrivals, crew.n_threads)
-    exert_of_each_vjp(drive.forces, drive.levels, control, run.q, push, crew)
+    exert_of_each_vjp(drive.forces, drive.levels, control, load.q, load.push, crew)
     barrier(run.arrivals, crew.n_threads)
-    share_out(points, pulled, pulled.shares.x_bar, run.force, 1, 0, crew)
+    share_out(load.points, pulled, pulled.shares.x_bar, run.force, 1, 0, crew)
     barrier(run.arrivals, crew.n_threads)
 
 

@@ -33,7 +33,6 @@ class Preconditioner:
     Args:
         rollout: of the reference frame, with nodes, particles, ghost penalty and forces on points.
         A: the tangents of all particles (`tangent.py`).
-        push: packed table of the forces on particles, which is left at zero.
         holding: what boundaries leave free.
         volumes: averaged volumes, or none.
         control: the control step whose activations act.
@@ -45,10 +44,9 @@ class Preconditioner:
     """
 
     def __init__(
-        self, rollout: Any, A: Array, push: Array, holding: Holding, volumes: MeanVolumes | None, control: int,
-        *, slow: bool,
-    ) -> None:  # fmt: skip
-        self.rollout, self.A, self.push, self.holding, self.volumes = rollout, A, push, holding, volumes
+        self, rollout: Any, A: Array, holding: Holding, volumes: MeanVolumes | None, control: int, *, slow: bool
+    ) -> None:
+        self.rollout, self.A, self.holding, self.volumes = rollout, A, holding, volumes
         self.run, self.dim, self.control = rollout.bundle, rollout.model.dim, control
         self.active = self.run.nodes.active
         self.inverse = np.zeros((0, self.dim, self.dim))
@@ -100,7 +98,7 @@ class Preconditioner:
             free[self.holding.nodes] = False
             self.coarse = CoarseSpace(self.run, patches, free)
         self.since = 0
-        pulled = pulled_points(self.run, r.loads, r.drive, self.push, self.control)
+        pulled = pulled_points(self.run, r.loads, r.drive, self.control)
         return self.coarse.prepare(self.A, r.ghosts, pulled, self.volumes)
 
     def smallest(self) -> float:
