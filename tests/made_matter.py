@@ -10,6 +10,7 @@ import numpy as np
 
 from cqrun.actuators.body_force import BodyForce
 from cqrun.actuators.cable import Cable
+from cqrun.actuators.chamber import Chamber
 from cqrun.actuators.muscle import Muscle
 from cqrun.actuators.pneumatic import Pneumatic
 from cqrun.engine.model import Model
@@ -20,7 +21,7 @@ from cqrun.materials.fixed_corotated import FixedCorotated
 from cqrun.materials.incompressibility import Incompressibility
 from cqrun.materials.neo_hookean import NeoHookean
 from cqrun.materials.viscosity import Viscosity
-from cqrun.observers.matter import ActuatorPart, Corners, Material, Matter, Route
+from cqrun.observers.matter import ActuatorPart, Corners, Material, Matter, Route, Wall
 from cqrun.plugin.registry import plugins
 from cqrun.state import Layout
 
@@ -54,7 +55,7 @@ def made_matter(dim: int) -> Matter:
         recorded=lambda file, units, marker: (np.linspace(0.0, 0.4, 9), seen), neutral=np.array([0.0, 1.0, 0.5]),
         measures=made_measures(dim), spacing={"arm": 0.1, "ball": 0.05}, routes=made_routes(dim),
         n_parts=N_ACTUATORS + 1, parts=made_parts(dim), materials=made_materials(len(arm)),
-        room=np.linspace(0.5, 1.0, len(x)),
+        room=np.linspace(0.5, 1.0, len(x)), walls=made_walls(dim),
     )  # fmt: skip
 
 
@@ -98,6 +99,9 @@ def made_parts(dim: int) -> list[ActuatorPart]:
     ]
     more = {name: made_routes(dim)[name] for name in ("cable", "weight")}
     routed = [ActuatorPart(n, n, r.number, r.law, r.particles, np.zeros(0), slice(0, 0)) for n, r in more.items()]
+    routed += [
+        ActuatorPart(n, n, w.number, w.law, w.particles, np.zeros(0), slice(0, 0)) for n, w in made_walls(dim).items()
+    ]
     return [*parts, *routed, replace(parts[0], actuator="both"), replace(parts[1], actuator="both")]
 
 
@@ -111,6 +115,18 @@ def made_routes(dim: int) -> dict[str, Route]:
         "cable": Route(along, 1, cable, activated=True), "weight": Route(along[:2], 2, weight, activated=True),
         "spring": Route(along[1:], N_ACTUATORS, spring, activated=False),
     }  # fmt: skip
+
+
+def made_walls(dim: int) -> dict[str, Wall]:
+    """Return chambers in a simplex of points that ride on particles of the arm: of each supply."""
+    supplies = {"air": {"pressure": 2.0}, "gas": {"gas": 2.0, "ambient": 3.0}, "oil": {"liquid": 2.0}}
+    laws = {name: Chamber(body="arm", **given, bulk_modulus=2.0) for name, given in supplies.items()}
+    corners = np.arange(dim + 1)
+    facets = np.array([np.delete(corners, k)[:: 1 if k % 2 == 0 else -1] for k in corners])
+    if dim == 3:
+        facets = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+    offsets = 0.1 * np.cos(np.arange((dim + 1) * dim)).reshape(dim + 1, dim)
+    return {name: Wall(corners + 1, offsets, facets, k, law) for k, (name, law) in enumerate(laws.items())}
 
 
 def made_measures(dim: int) -> dict[str, Any]:

@@ -9,13 +9,14 @@ state (`forces/force.py`) or are constant in a control step (`forces/steady.py`)
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from cqrun.explain import Loc
-from cqrun.forces.force import Inside
+from cqrun.forces.force import Inside, Riding, Skin
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin, quantity
 from cqrun.plugin.reference import BodyName, GroupName
@@ -39,6 +40,9 @@ class Actuator(Plugin):
     kernel: ClassVar[type]
     """The class of the kernels' view: of a term of the stress, or of a force."""
 
+    frame: ClassVar[str | None] = None
+    """The only frame in which it acts; None for both."""
+
     per: ClassVar[Literal["volume", "mass"]] = "volume"
     """What the potential of a particle is multiplied by, for an actuator that has one (`potential`)."""
 
@@ -61,6 +65,18 @@ class Actuator(Plugin):
             inside: finds the particles of a body and region.
         """
 
+    def riding(self, part: str, skin: Callable[[], Skin]) -> Riding | None:
+        """Return the points that a part acts on, in place of particles; None if it acts on particles.
+
+        Args:
+            part: one of `parts`.
+            skin: returns the surface of its body.
+
+        Raises:
+            UsageError: there are no such points.
+        """
+        return None
+
     @abstractmethod
     def constants(self, x: Array) -> Array:
         """Return a part's other numbers for its kernel, for its particles at rest x (n, D) [m].
@@ -75,6 +91,14 @@ class Actuator(Plugin):
     def rest_length_vjp(self, x: Array, bar: float) -> Array:
         """Return the cotangent of x (n, D)."""
         return np.zeros(x.shape)
+
+    def rest_size(self, x: Array, constants: Array) -> float:
+        """Return the length at rest, or another size, of a part whose points at rest are x (n, D) [m]; see `Levels`."""
+        return self.rest_length(x)
+
+    def rest_size_vjp(self, x: Array, constants: Array, bar: float) -> Array:
+        """Return the cotangent of x (n, D)."""
+        return self.rest_length_vjp(x, bar)
 
     def problem(self, x: Array, dx: float) -> str | None:
         """Return the error in a part whose particles at rest are x (n, D) [m], with cells of dx [m], or None."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from cqrun.actuators.actuator import within_limits
 from cqrun.build.particles import Particles
+from cqrun.build.surfaces import skin_of
 from cqrun.build.values import Values
 from cqrun.engine.model import ActuatorModel
 from cqrun.errors import Problem, SceneError, UsageError
@@ -69,14 +70,18 @@ class Actuation:
             path = f"{section}.{name}.{chosen.name}"
             for part in spec.parts():
                 try:
-                    indices = spec.particles(part, x, self.particles.inside)
+                    riding = spec.riding(part, lambda body=spec.body: skin_of(scene, self.particles, body))
+                    indices = spec.particles(part, x, self.particles.inside) if riding is None else riding.particle
                 except UsageError as error:
                     raise SceneError([Problem(scene.where(path), path, str(error))]) from None
                 problem = spec.problem(x[indices], scene.world.dx) if len(indices) else None
                 if problem or not len(indices):
                     raise SceneError([Problem(scene.where(path), path, problem or "holds no particle")])
                 full = f"{name}.{part}" if part else name
-                model = ActuatorModel(full, spec.kernel, indices, spec.constants(x[indices]))
+                model = (
+                    ActuatorModel(full, spec.kernel, indices, spec.constants(x[indices])) if riding is None else
+                    ActuatorModel(full, spec.kernel, indices, riding.constants, riding.x - x[indices])
+                )  # fmt: skip
                 yield Part(full, name, path, spec, model)
 
     @property
@@ -104,14 +109,14 @@ class Actuation:
 
     def rest_lengths(self, x: Array) -> Array:
         """Return the length at rest of `every` part [m] where particles rest at x (N, D)."""
-        return np.array([part.spec.rest_length(x[part.model.particles]) for part in self.every])
+        return np.array([part.spec.rest_size(part.model.at_rest(x), part.model.constants) for part in self.every])
 
     def rest_lengths_vjp(self, x: Array, rest_bar: Array) -> Array:
         """Return the cotangent of x (N, D)."""
         x_bar = np.zeros(x.shape)
         for part, bar in zip(self.every, rest_bar, strict=True):
-            indices = part.model.particles
-            np.add.at(x_bar, indices, part.spec.rest_length_vjp(x[indices], float(bar)))
+            found = part.spec.rest_size_vjp(part.model.at_rest(x), part.model.constants, float(bar))
+            np.add.at(x_bar, part.model.particles, found)
         return x_bar
 
     # --- weights --------------------------------------------------------------------------------------------------

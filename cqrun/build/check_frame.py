@@ -60,6 +60,10 @@ def _elsewhere(scene: Scene) -> Iterator[tuple[str, str]]:
     for path, names in boundaries_by_user(scene):
         which = listed([f"'{name}'" for name in names])
         yield path, f"the force of {which} is known in the reference frame alone: set `world.frame: reference`"
+    for name, chosen in scene.actuators.items():
+        if getattr(chosen.value, "frame", None) == "reference":
+            path = f"actuators.{name}.{chosen.name}"
+            yield path, "acts in the reference frame alone: set `world.frame: reference`"
     if scene.start == "equilibrium":
         yield "start", "is found in the reference frame alone: set `world.frame: reference`"
 

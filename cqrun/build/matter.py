@@ -9,7 +9,7 @@ import numpy as np
 from cqrun.build.model import Built
 from cqrun.engine.reference.corners import hat_slopes, hats
 from cqrun.engine.reference.rest import rest_geometry
-from cqrun.observers.matter import ActuatorPart, Corners, Material, Matter, Route
+from cqrun.observers.matter import ActuatorPart, Corners, Material, Matter, Route, Wall
 from cqrun.observers.rows import slices
 from cqrun.plugin.contract import Array
 from cqrun.store.recordings import marker_path
@@ -38,6 +38,7 @@ def matter_of(built: Built, starts: Mapping[str, Array]) -> Matter:
         n_parts=len(built.assembly.actuation.every),
         parts=_parts(built),
         routes=_routes(built),
+        walls=_walls(built),
         materials=_materials(built),
         terms=inputs.terms,
         corners=_corners(built),
@@ -82,4 +83,13 @@ def _routes(built: Built) -> dict[str, Route]:
         part.name: Route(part.model.particles, k, part.spec, k < activated)
         for k, part in enumerate(parts)
         if hasattr(part.spec, "pull")
+    }
+
+
+def _walls(built: Built) -> dict[str, Wall]:
+    """Return the walls of a scene's chambers, by name."""
+    return {
+        part.name: Wall(part.model.particles, part.model.offsets, part.spec.facets(part.model.constants), k, part.spec)
+        for k, part in enumerate(built.assembly.actuation.parts)
+        if hasattr(part.spec, "gauge") and part.model.offsets is not None
     }

@@ -283,14 +283,14 @@ def _spring_limits(
     The stiffnesses of actuators in the same cell are added.
     """
     parts = [
-        (part.path, part.model.particles, k)
+        (part.path, part.model.at_rest(particles.x), k)
         for part, strength in zip(actuation.every, actuation.strengths(values), strict=True)
         if body_of(part.spec) == body
-        and (k := part.spec.stiffness_at_nodes(strength, particles.x[part.model.particles])) > 0.0
+        and (k := part.spec.stiffness_at_nodes(strength, part.model.at_rest(particles.x))) > 0.0
     ]
     if not parts:
         return []
-    cells = [np.unique(np.floor(particles.x[indices] / scene.world.dx), axis=0) for _, indices, _ in parts]
+    cells = [np.unique(np.floor(points / scene.world.dx), axis=0) for _, points, _ in parts]
     every, place = np.unique(np.concatenate(cells), axis=0, return_inverse=True)
     total = np.bincount(place.ravel(), np.repeat([k for *_, k in parts], [len(c) for c in cells]), len(every))
     stiffest = max(parts, key=lambda part: part[2])

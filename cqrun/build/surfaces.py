@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cqrun.build.particles import Particles
+from cqrun.forces.force import Skin
 from cqrun.geometry.place import Place
 from cqrun.geometry.shape import finite_bounds
 from cqrun.geometry.skin import make_skin
@@ -55,6 +56,14 @@ def surface_of(scene: Scene, particles: Particles) -> BodySurface:
     if known is None:
         known = particles.found["surface"] = _find_surface(scene, particles)
     return known
+
+
+def skin_of(scene: Scene, particles: Particles, name: str) -> Skin:
+    """Return the surface of one body."""
+    surface, k = surface_of(scene, particles), list(particles.names).index(name)
+    begin, end = surface.begin[k], surface.begin[k + 1]
+    facets = surface.facets[(surface.facets[:, 0] >= begin) & (surface.facets[:, 0] < end)]
+    return Skin(surface.x[begin:end], surface.particle[begin:end], facets - begin)
 
 
 def _find_surface(scene: Scene, particles: Particles) -> BodySurface:

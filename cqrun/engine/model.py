@@ -61,6 +61,10 @@ class ActuatorModel:
     constants: Array
     offsets: Array | None = None
 
+    def at_rest(self, x: Array) -> Array:
+        """Return its points at rest (n, D) [m] where particles rest at x (N, D)."""
+        return x[self.particles] if self.offsets is None else x[self.particles] + self.offsets
+
 
 @dataclass(frozen=True)
 class ConditionModel:

@@ -39,6 +39,7 @@ exert, exert_vjp = _EXERT.call, _EXERT_VJP.call
 
 _RATES: set[type] = set()
 _ITEMS: dict[type, Callable[[Array, Array], list[Array]]] = {}
+_OWN: dict[type, slice] = {}
 
 
 class Shares(NamedTuple):
@@ -63,10 +64,38 @@ class Levels(NamedTuple):
 
     activation: Array  # (T, A) one row per control step [1]
     strength: Array  # (A,) in each part's own unit
-    rest: Array  # (A,) length at rest [m]
+    rest: Array  # (A,) length at rest [m]; of a chamber, volume at rest
 
 
 own_symbols(Levels)
+
+
+class Skin(NamedTuple):
+    """The surface of a body at rest, for forces on it.
+
+    Attributes:
+        x: its points (S, D) [m].
+        particle: the nearest particle of the body to each (S,).
+        facets: (T, D) the points of each segment or triangle, with normals out of the body.
+    """
+
+    x: Array
+    particle: Array
+    facets: Array
+
+
+class Riding(NamedTuple):
+    """Points that a force acts on, each of which rides on a particle.
+
+    Attributes:
+        particle: (n,).
+        x: where the points are at rest (n, D) [m].
+        constants: the other numbers for the force's kernel.
+    """
+
+    particle: Array
+    x: Array
+    constants: Array
 
 
 class ParticleForce(Plugin):
@@ -95,6 +124,18 @@ class ParticleForce(Plugin):
             inside: finds the particles of a body and region.
         """
 
+    def riding(self, part: str, skin: Callable[[], Skin]) -> Riding | None:
+        """Return the points that a part acts on, in place of particles; None if it acts on particles.
+
+        Args:
+            part: one of `parts`.
+            skin: returns the surface of its body.
+
+        Raises:
+            UsageError: there are no such points.
+        """
+        return None
+
     def constants(self, x: Array) -> Array:
         """Return a part's other numbers for its kernel, for its particles at rest x (n, D) [m]."""
         return np.zeros(0)
@@ -107,6 +148,14 @@ class ParticleForce(Plugin):
         """Return the cotangent of x (n, D)."""
         return np.zeros(x.shape)
 
+    def rest_size(self, x: Array, constants: Array) -> float:
+        """Return the length at rest, or another size, of a part whose points at rest are x (n, D) [m]; see `Levels`."""
+        return self.rest_length(x)
+
+    def rest_size_vjp(self, x: Array, constants: Array, bar: float) -> Array:
+        """Return the cotangent of x (n, D)."""
+        return self.rest_length_vjp(x, bar)
+
     def problem(self, x: Array, dx: float) -> str | None:
         """Return the error in a part whose particles at rest are x (n, D) [m], with cells of dx [m], or None."""
         return None
@@ -118,7 +167,7 @@ class ParticleForce(Plugin):
 
 def register_force(
     kernel_class: type, items: Callable[[Array, Array], list[Array]], exert: Callable[..., None],
-    exert_vjp: Callable[..., None], *, rate: bool = True,
+    exert_vjp: Callable[..., None], *, rate: bool = True, own: slice = slice(None),
 ) -> None:  # fmt: skip
     """Register the functions of a kernel class.
 
@@ -127,11 +176,12 @@ def register_force(
         items: returns the particles of each item of a part, for its particles (n,) and constants.
         exert, exert_vjp: see the top of this file.
         rate: whether the force depends on velocities.
+        own: which of a part's constants each of its items has in the kernel's view.
     """
     _RATES.update([kernel_class] if rate else [])
     _EXERT.register(kernel_class, exert)
     _EXERT_VJP.register(kernel_class, exert_vjp)
-    _ITEMS[kernel_class] = items
+    _ITEMS[kernel_class], _OWN[kernel_class] = items, own
 
 
 def needs_velocity(kernel_class: type) -> bool:
@@ -156,7 +206,7 @@ class Kind(NamedTuple):
 def make_forces(kinds: Sequence[Kind], dim: int) -> tuple[tuple[Any, ...], Shares]:
     """Return the kernels' view of every kind, and the shares of all kinds, of which those of a kind are a view."""
     pulled = [
-        [(int(a), item, c) for a, columns, c in zip(k.parts, k.columns, k.constants, strict=True)
+        [(int(a), item, c[_OWN[k.kernel]]) for a, columns, c in zip(k.parts, k.columns, k.constants, strict=True)
          for item in _ITEMS[k.kernel](columns, c)]
         for k in kinds
     ]  # fmt: skip

@@ -15,9 +15,10 @@ from pydantic import Field
 
 from cqrun.errors import UsageError
 from cqrun.measures.cable import RouteLength
+from cqrun.measures.chamber import WallVolume
 from cqrun.measures.measure import BoundMeasure, Measure
 from cqrun.objectives.design import MASS, VOLUME
-from cqrun.observers.matter import ActuatorPart, Matter, Route
+from cqrun.observers.matter import ActuatorPart, Matter, Route, Wall
 from cqrun.observers.rows import single, slices, stacked
 from cqrun.observers.track import Track, TrackBar
 from cqrun.plugin.contract import Array
@@ -41,7 +42,11 @@ class Work(Measure):
         works: list[BoundMeasure] = []
         for part in parts:
             if part.name in matter.routes:
-                works.append(CableWork(matter.routes[part.name], matter))
+                route = matter.routes[part.name]
+                works.append(StoredWork(route, RouteLength(route, matter)))
+            elif part.name in matter.walls:
+                wall = matter.walls[part.name]
+                works.append(StoredWork(wall, WallVolume(wall, matter)))
             elif hasattr(part.law, "potential"):
                 works.append(PartWork(part, matter))
             else:
@@ -91,35 +96,39 @@ def accumulated_vjp(bar: Array) -> Array:
     return np.asarray(np.cumsum(bar[:0:-1, 0])[::-1])
 
 
-class CableWork(Stepwise):
-    """What the energy of a cable loses in each control step with the activation of that step."""
+class StoredWork(Stepwise):
+    """What the energy of a cable or chamber loses in each control step with the activation of that step.
 
-    def __init__(self, route: Route, matter: Matter) -> None:
-        self.length, self.route = RouteLength(route, matter), route
-        self.rows = self.length.rows
+    The energy depends on one number of the motion: the length of a route, or the volume of a chamber.
+    """
+
+    def __init__(self, of: Route | Wall, size: BoundMeasure) -> None:
+        self.size, self.of = size, of
+        self.rows = size.rows
 
     def values(self, track: Track) -> Array:
-        length, levels = self.length.values(track)[:, 0], self._levels(track)
-        before, after = (self.route.law.stored(each, *levels) for each in (length[:-1], length[1:]))
+        size, levels = self.size.values(track)[:, 0], self._levels(track)
+        before, after = (self.of.law.stored(each, *levels) for each in (size[:-1], size[1:]))
         return accumulated(before - after)
 
     def values_vjp(self, track: Track, bar: Array) -> TrackBar:
-        k, length, levels = self.route.number, self.length.values(track)[:, 0], self._levels(track)
+        k, size, levels = self.of.number, self.size.values(track)[:, 0], self._levels(track)
         each = accumulated_vjp(bar)
-        length_bar = np.zeros(len(length))
+        size_bar = np.zeros(len(size))
         out = TrackBar(strength=np.zeros(track.strength.shape), rest_length=np.zeros(track.rest_length.shape))
         out.activation = np.zeros(track.activation.shape)
         for rows, sign in ((slice(None, -1), 1.0), (slice(1, None), -1.0)):
-            by = self.route.law.stored_vjp(length[rows], *levels, sign * each)
-            length_bar[rows] += by[0]
+            by = self.of.law.stored_vjp(size[rows], *levels, sign * each)
+            size_bar[rows] += by[0]
             out.activation[:, k] += by[1]
             out.strength[k] += by[2].sum()  # type: ignore[index]
             out.rest_length[k] += by[3].sum()  # type: ignore[index]
-        out.x = self.length.values_vjp(track, length_bar[:, None]).x
+        moved = self.size.values_vjp(track, size_bar[:, None])
+        out.x, out.F = moved.x, moved.F
         return out
 
     def _levels(self, track: Track) -> tuple[Array, Any, Any]:
-        k = self.route.number
+        k = self.of.number
         return track.activation[:, k], track.strength[k], track.rest_length[k]
 
 

@@ -50,6 +50,25 @@ class Route:
 
 
 @dataclass(frozen=True)
+class Wall:
+    """The wall of a chamber.
+
+    Attributes:
+        particles: the particle that each of its points rides on (n,).
+        offsets: of the points at rest from their particles (n, D) [m].
+        facets: (T, D) the points of each facet, with normals out of the chamber.
+        number: of the chamber among all parts of actuators and forces.
+        law: the plug-in, which knows the pressure.
+    """
+
+    particles: Array
+    offsets: Array
+    facets: Array
+    number: int
+    law: Any
+
+
+@dataclass(frozen=True)
 class ActuatorPart:
     """A part of an actuator, with an activation of its own.
 
@@ -123,6 +142,7 @@ class Matter:
         n_parts: number of parts of actuators and forces.
         parts: of all actuators, in order.
         routes: name -> cable or spring.
+        walls: name -> wall of a chamber.
         materials: body -> its material.
         terms: parameters of all terms of the stress at the initial values of the unknowns, as in `Track.terms`.
         corners: the corners of cells, if volumes are averaged over them.
@@ -149,6 +169,7 @@ class Matter:
     n_parts: int = 0
     parts: Sequence[ActuatorPart] = ()
     routes: Mapping[str, Route] = field(default_factory=dict)
+    walls: Mapping[str, Wall] = field(default_factory=dict)
     materials: Mapping[str, Material] = field(default_factory=dict)
     terms: Sequence[Sequence[Array]] = ()
     corners: Corners | None = None

@@ -10,8 +10,10 @@ import pytest
 from made_matter import CELL, N_ACTUATORS, averaged_matter, box_around_left, made_matter, mismatch
 from made_tracks import FIELDS, a_track, products_of, random_like
 
+from cqrun.measures.chamber import WallPressure, WallVolume
 from cqrun.measures.measure import BoundMeasure
-from cqrun.observers.matter import Matter
+from cqrun.measures.work import TotalWork
+from cqrun.observers.matter import Matter, Wall
 from cqrun.observers.track import Track
 from cqrun.plugin.registry import plugins
 
@@ -23,7 +25,7 @@ STEP = 1e-3
 """Its error is near 1e-12 for these tracks, whose lengths are 0.1 and more, and rounding adds as much."""
 
 
-WORKING = ("muscle", "chamber", "old_chamber", "magnet", "cable", "weight", "both")
+WORKING = ("muscle", "chamber", "old_chamber", "magnet", "cable", "weight", "air", "gas", "oil", "both")
 """Actuators of `made_parts`."""
 
 
@@ -49,6 +51,8 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "dissipated_energy": [place, {"body": "arm"}, {"body": "ball"}],
         "cable_length": [{"cable": "cable"}, {"spring": "spring"}],
         "cable_tension": [{"cable": "cable"}, {"cable": "weight"}, {"spring": "spring"}],
+        "chamber_volume": [{"chamber": "air"}],
+        "chamber_pressure": [{"chamber": name} for name in ("air", "gas", "oil")],
         "work": [{"actuator": name} for name in WORKING],
         "reaction": [{"boundary": "clamp"}, {"boundary": "floor", "of": "moment", "on": "boundary"}],
     }  # fmt: skip
@@ -97,9 +101,17 @@ def smooth_track(bound: BoundMeasure, dim: int, rng: np.random.Generator) -> Tra
         turn = np.eye(dim)
         turn[:2, :2] = [[c, s], [-s, c]]
         x = 0.05 * track.x + np.concatenate([np.eye(dim), turn])[-n_rows:]
+    if in_a_wall(bound):
+        x = np.concatenate([np.zeros((1, dim)), np.eye(dim)]) + 0.1 * track.x
     activation = 0.2 + 0.1 * rng.uniform(size=track.activation.shape)
     F = np.diag([1.3, 0.9, 1.1][:dim]) + 0.05 * track.F
     return replace(track, x=x, F=F, activation=activation, rest_length=0.2 * track.rest_length)
+
+
+def in_a_wall(bound: BoundMeasure) -> bool:
+    """Return whether a quantity is one of a chamber, whose volume must be positive."""
+    of = bound.works[0] if isinstance(bound, TotalWork) else bound
+    return isinstance(of, WallVolume | WallPressure) or isinstance(getattr(of, "of", None), Wall)
 
 
 @EVERY

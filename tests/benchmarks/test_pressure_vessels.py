@@ -1,0 +1,80 @@
+"""Hollow bodies under inner pressure, from scenes with a `chamber`, against closed forms (benchmarks/convergence/vessels.py).
+
+How far the inner surface has moved is told by the chamber's volume, V / V0 = (r / R)^D.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from little_worlds import needs_jit
+
+from benchmarks.convergence.vessels import Vessel, closed_tube
+from cqrun.jobs.rest import REST
+from cqrun.scene.load import load_scene
+from cqrun.store.result import RestResult, require_result
+from cqrun.store.trajectory import read_trajectory
+
+pytestmark = needs_jit
+
+INNER, OUTER, E = 0.02, 0.04, 1.0e5
+
+
+def vessel(dim: int, cells: int, nu: float, supply: dict[str, Any], path: dict[str, Any], **world: Any) -> dict[str, Any]:
+    """Return a hollow ball (2D: disc), with `cells` across its wall, held at a few nodes of its middle plane."""
+    dx = (OUTER - INNER) / cells
+    middle = [OUTER + 3 * dx] * dim
+    ball = lambda radius: {"ball": {"center": middle, "radius": radius}}  # noqa: E731
+    hold = [middle[0] - 0.5 * (INNER + OUTER), *middle[1:]]
+    return {
+        "cqrun": 1,
+        "job": "rest",
+        "world": {"size": [2 * middle[0]] * dim, "dx": dx, "frame": "reference", **world},
+        "bodies": {
+            "vessel": {
+                "shape": {"difference": [ball(OUTER), ball(INNER)]},
+                "spacing": dx / 2,
+                "sampling": {"lattice": {"fitted": True}},
+                "material": {"density": 1000, "elastic": {"neo_hookean": {"youngs_modulus": E, "poissons_ratio": nu}}},
+            }
+        },
+        "boundaries": {"pin": {"sticky": {"region": {"ball": {"center": hold, "radius": 0.87 * dx}}}}},
+        "actuators": {"air": {"chamber": {"body": "vessel", **supply}}},
+        "activation": {"signals": {"air": [1]}},
+        "measure": {"volume": {"chamber_volume": {"chamber": "air"}}, "pressure": {"chamber_pressure": {"chamber": "air"}}},
+        "path": path,
+    }
+
+
+def measured(scene: dict[str, Any], folder: Any) -> tuple[np.ndarray, np.ndarray, RestResult]:
+    """Return (V / V0)^(1/D) and the pressure [Pa] at each point of a scene's path, and the result."""
+    run = REST.start("vessel", load_scene(scene), folder)
+    found = read_trajectory(run / "trajectory.h5").measured
+    assert found is not None
+    volume, pressure = (found.quantities[name].values[:, 0] for name in ("volume", "pressure"))
+    return (volume / volume[0]) ** (1 / len(scene["world"]["size"])), pressure, require_result(run, RestResult)
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.45])
+@pytest.mark.parametrize(("dim", "cells"), [(2, 4), (2, 8), (3, 4), pytest.param(3, 8, marks=pytest.mark.slow)])
+def test_lame(dim, cells, nu, tmp_path):
+    """Under a thousandth of E the inner surface moves as Lame says, within 2 %."""
+    pressure = 1e-3 * E
+    stretch, _, _ = measured(vessel(dim, cells, nu, {"pressure": pressure}, {}), tmp_path)
+    expected = Vessel(dim, INNER, OUTER, E, nu).small(pressure)
+    assert stretch[-1] - 1.0 == pytest.approx(expected - 1.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("dim", "cells"), [(2, 4), (2, 8), pytest.param(3, 4, marks=pytest.mark.slow)])
+def test_large_stretches(dim, cells, tmp_path):
+    """Rubber: up to 1.5 times the inner radius, the pressure is that of the closed form within 2 %."""
+    exact = Vessel(dim, INNER, OUTER, E, 0.5)
+    most = exact.pressure(1.5)
+    path = {"actuators.air.chamber.pressure": {"first": most / 8, "last": most, "points": 8}}
+    scene = vessel(dim, cells, 0.4999, {"pressure": most}, path, volume="averaged")
+    stretch, pressure, _ = measured(scene, tmp_path)
+    assert stretch[-1] > 1.4
+    for s, p in zip(stretch[1:], pressure[1:], strict=True):
+        assert p == pytest.approx(exact.pressure(float(s)), rel=0.02)
