@@ -39,6 +39,8 @@ INWARD = 1e-6
 VOLUME_ERROR = 0.02
 """Relative volume error of a body's particles above which there is a warning."""
 
+_FITTED = "`sampling: {lattice: {fitted: true}}`"
+
 N_DEVIATIONS = 3.0
 """Allowed volume error of a lattice in a round shape, whose surface cells count or not by chance [std. deviations]."""
 
@@ -298,11 +300,11 @@ def _volume_advice(size: Array, spacing: float | None, per_cell: float | None) -
     rows = size / spacing
     odd = [f"{size[k]:.6g} m along {'xyz'[k]}" for k in np.flatnonzero(np.abs(rows - np.round(rows)) > FLOAT32 * rows)]
     if not odd:
-        return "give a smaller spacing, or `sampling: {random: {count: ...}}`, whose particles share the shape's volume"
+        return f"give a smaller spacing, or {_FITTED}, whose particles have the shape's volume"
     return (
         f"{' and '.join(odd)} {'is not a multiple' if len(odd) == 1 else 'are not multiples'} of the spacing of "
         f"{spacing:.6g} m; give a size that is one, {_other_spacing(size, spacing, per_cell)}, or "
-        "`sampling: {lattice: {count: ...}}`"
+        f"{_FITTED}"
     )
 
 

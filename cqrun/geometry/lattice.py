@@ -10,8 +10,9 @@ from pydantic import Field, model_validator
 
 from cqrun.errors import UsageError
 from cqrun.explain import complaint, finding
+from cqrun.geometry.fitted import fit
 from cqrun.geometry.sampling import Sampling
-from cqrun.geometry.shape import MAX_POINTS, Shape, cell_centres, finite_bounds, lattice_points
+from cqrun.geometry.shape import MAX_POINTS, Shape, cell_centres, finite_bounds, lattice_around
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 
@@ -26,12 +27,22 @@ class Lattice(Sampling):
 
     With `centered` the lattice is symmetric about the middle of the shape's bounds. A tapered or round body whose size
     is no multiple of the spacing is lopsided otherwise, because the lattice begins at its lower corner.
+
+    With `fitted` each particle has the volume and the centre of the part of the shape that is nearest to it. Use it for
+    walls and for round or tapered bodies that are a few cells thick. Under an inner pressure, a ring of 4 cells widens
+    by 8 % too much without it, and by 3 % with it. Volumes sum to that of the shape, to at most 1/32 of a spacing at
+    flat faces. It changes nothing in a box of whole cells. It can be combined with `centered` and with `count`. If the
+    shape has unknowns, particles are fitted at the values in the scene, and then follow the shape as all particles do.
     """
 
     count: int | None = Field(description="Number of cells along every axis, instead of a spacing", ge=1, default=None)
     centered: bool = Field(
         description="Whether the lattice is symmetric about the middle of the shape's bounds", default=False,
         exclude_if=lambda centered: not centered,  # so that scenes without it keep the names of their runs
+    )  # fmt: skip
+    fitted: bool = Field(
+        description="Whether particles have the volume and the centre of their parts of the shape", default=False,
+        exclude_if=lambda fitted: not fitted,
     )  # fmt: skip
 
     @model_validator(mode="after")
@@ -50,18 +61,25 @@ class Lattice(Sampling):
         return super().estimate(shape, spacing) if self.count is None else float(self.count) ** dim
 
     def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:
+        corner, size, counts = self._cells(shape, spacing)
+        if self.fitted:
+            return fit(shape, corner, size, counts)
+        points = cell_centres(corner, size, counts)
+        points = points[shape.inside(points)]
+        volume = float(size[0]) ** len(size) if self.count is None else float(np.prod(size))
+        return points, np.full(len(points), volume)
+
+    def _cells(self, shape: Shape, spacing: float | None) -> tuple[Array, Array, Array]:
+        """Return the lower corner (D,) [m], the size (D,) [m] and the counts (D,) of the lattice's cells."""
         if self.count is None:
             assert spacing is not None
-            points = lattice_points(shape, spacing, centered=self.centered)
-            return points, np.full(len(points), spacing ** points.shape[1])
+            corner, counts = lattice_around(shape, spacing, centered=self.centered)
+            return corner, np.full(len(corner), spacing), counts
         lower, upper = finite_bounds(shape)
         dim = len(lower)
         if self.count**dim > MAX_POINTS:
             raise UsageError(f"a count of {self.count} makes {self.count**dim:.3g} cells, more than {MAX_POINTS:.0e}")
-        size = (upper - lower) / self.count
-        points = cell_centres(lower, size, np.full(dim, self.count))
-        points = points[shape.inside(points)]
-        return points, np.full(len(points), np.prod(size))
+        return lower, (upper - lower) / self.count, np.full(dim, self.count)
 
 
 WHOLE = 1e-3

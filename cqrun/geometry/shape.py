@@ -110,13 +110,24 @@ def counted_volume(shape: Shape, cells: int = _COUNTING_CELLS) -> float:
     return float(shape.inside(cell_centres(lower, size / counts, counts)).mean() * np.prod(size))
 
 
-def lattice_points(shape: Shape, spacing: float, *, centered: bool = False) -> Array:
+def lattice_points(shape: Shape, spacing: float) -> Array:
     """Return the points (N, D) [m] at (k + 1/2) * spacing from the lower corner that lie in the shape.
+
+    Raises:
+        UsageError: the shape is unbounded, or the lattice is far too fine for it.
+    """
+    corner, counts = lattice_around(shape, spacing)
+    points = cell_centres(corner, np.full(len(corner), spacing), counts)
+    return points[shape.inside(points)]
+
+
+def lattice_around(shape: Shape, spacing: float, *, centered: bool = False) -> tuple[Array, Array]:
+    """Return the lower corner (D,) [m] and the counts (D,) of the cells of a lattice that covers a shape.
 
     Args:
         shape: what to fill.
-        spacing: distance between points [m].
-        centered: whether the lattice is moved so that it is symmetric about the middle of the bounds.
+        spacing: edge of a cell [m].
+        centered: whether the lattice is symmetric about the middle of the bounds; else it begins at their lower corner.
 
     Raises:
         UsageError: the shape is unbounded, or the lattice is far too fine for it.
@@ -129,8 +140,7 @@ def lattice_points(shape: Shape, spacing: float, *, centered: bool = False) -> A
             f"at most {MAX_POINTS:.0e} are allowed: check the units of spacing, dx and the shape"
         )
     corner = 0.5 * (lower + upper - counts * spacing) if centered else lower
-    points = cell_centres(corner, np.full(len(lower), spacing), counts.astype(int))
-    return points[shape.inside(points)]
+    return corner, counts.astype(int)
 
 
 def cell_centres(lower: Array, spacing: Array, counts: Array) -> Array:

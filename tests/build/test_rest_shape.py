@@ -11,6 +11,7 @@ from cqrun.build.assembly import Assembly
 from cqrun.build.particles import sample
 from cqrun.build.rest_shape import Geometry, replaced
 from cqrun.errors import MissingExtra, UsageError
+from cqrun.geometry.shape import counted_volume
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf, leaves, shapes_a_body, with_values
 from cqrun.scene.schema import Scene
@@ -189,3 +190,24 @@ def test_polygons_without_shapely(monkeypatch):
     shape = scene_of("polygon").bodies["a"].pieces["shape"]
     with pytest.raises(MissingExtra, match=r"shapely, which is not installed: pip install 'cqrun\[polygon\]'"):
         shape.carried(np.zeros((1, 2)), shape)
+
+
+@pytest.mark.parametrize("name", ["disc", "capsule", "cone", "difference"])
+def test_fitted_particles_follow_their_shape(name):
+    """They have the volume of the shape before and, to the accuracy of the lattice, after its numbers change."""
+    dim, body = SHAPES[name]
+    scene = scene_of(name)
+    body = {**scene.model_dump(exclude_none=True)["bodies"]["a"], "sampling": {"lattice": {"fitted": True}}}
+    scene = scene_of(name, bodies={"a": body})
+    particles, numbers = sample(scene), numbers_of(scene)
+    measure = 0.2**dim * counted_volume(scene.bodies["a"].whole().shape.value)
+    thin = name == "difference"  # it tapers to nothing, and its tips are far from all particles
+    assert particles.volume.sum() == pytest.approx(measure, rel=0.02 if thin else 0.005)
+    assert len(np.unique(particles.volume.round(12))) > 1
+    for path, value in numbers.items():
+        changed = {path: float(value) + 0.1 * (abs(float(value)) or 1.0)}
+        x, volume = Geometry(scene, particles).at_rest({path: np.array(changed[path])})
+        whole = with_values(scene, changed).bodies["a"].whole()
+        if name != "difference":  # holes stretch with the first shape
+            assert volume.sum() / whole.volume() == pytest.approx(1.0, rel=0.01), path
+            assert whole.inside(x).all(), path
