@@ -204,7 +204,7 @@ def test_what_is_measured(tmp_path):
     """The work of a given pressure is p dV summed over control steps."""
     run = run_simulate(finger(tmp_path), ["activation.signals.air=[1]"], tmp_path / "out", threads=1)
     volume, pressure, work = measured(run)
-    assert volume[0] == pytest.approx(0.05 * 0.015, rel=1e-9)
+    assert volume[0] == pytest.approx(0.05 * 0.015, rel=1e-7)  # the skin is found to 5e-8
     assert pressure == pytest.approx(4000)
     assert volume[-1] > 1.05 * volume[0]
     assert work[-1] == pytest.approx(4000 * (volume[-1] - volume[0]), rel=1e-9)

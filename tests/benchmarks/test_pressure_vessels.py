@@ -23,11 +23,11 @@ INNER, OUTER, E = 0.02, 0.04, 1.0e5
 
 
 def vessel(dim: int, cells: int, nu: float, supply: dict[str, Any], path: dict[str, Any], **world: Any) -> dict[str, Any]:
-    """Return a hollow ball (2D: disc), with `cells` across its wall, held at a few nodes of its middle plane."""
+    """Return a hollow ball (2D: disc), with `cells` across its wall, with planes of symmetry."""
     dx = (OUTER - INNER) / cells
     middle = [OUTER + 3 * dx] * dim
     ball = lambda radius: {"ball": {"center": middle, "radius": radius}}  # noqa: E731
-    hold = [middle[0] - 0.5 * (INNER + OUTER), *middle[1:]]
+    sides = ["x", "y", "z"][:dim]
     return {
         "cqrun": 1,
         "job": "rest",
@@ -40,12 +40,19 @@ def vessel(dim: int, cells: int, nu: float, supply: dict[str, Any], path: dict[s
                 "material": {"density": 1000, "elastic": {"neo_hookean": {"youngs_modulus": E, "poissons_ratio": nu}}},
             }
         },
-        "boundaries": {"pin": {"sticky": {"region": {"ball": {"center": hold, "radius": 0.87 * dx}}}}},
+        "boundaries": {side: {"slip": plane(k, middle, dx)} for k, side in enumerate(sides)},
         "actuators": {"air": {"chamber": {"body": "vessel", **supply}}},
         "activation": {"signals": {"air": [1]}},
         "measure": {"volume": {"chamber_volume": {"chamber": "air"}}, "pressure": {"chamber_pressure": {"chamber": "air"}}},
         "path": path,
     }
+
+
+def plane(axis: int, middle: list[float], dx: float) -> dict[str, Any]:
+    """Return a plane of symmetry: the nodes in the middle do not move along an axis."""
+    corner, size, normal = [0.0] * len(middle), [2 * c for c in middle], [0.0] * len(middle)
+    corner[axis], size[axis], normal[axis] = middle[axis] - 0.25 * dx, 0.5 * dx, 1.0
+    return {"region": {"box": {"corner": corner, "size": size}}, "normal": normal}
 
 
 def measured(scene: dict[str, Any], folder: Any) -> tuple[np.ndarray, np.ndarray, RestResult]:
