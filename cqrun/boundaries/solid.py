@@ -22,7 +22,7 @@ from cqrun.numerics.compile import kernel, own_symbols
 from cqrun.numerics.tensor import add, dot, scale, sub
 from cqrun.plugin.contract import Array
 
-PLANE, BOX, CAPSULE, CONE, POLYGON, TERRAIN, HILLS = range(7)
+PLANE, BOX, CAPSULE, CONE, POLYGON, TERRAIN, HILLS, TAPER = range(8)
 """Kinds of solids."""
 
 FAR = 1e300
@@ -40,6 +40,7 @@ class Solid(NamedTuple):
               In 3D it is a prism without ends.
     TERRAIN   the same with a profile from left to right; the solid is below it. The ends continue horizontally.
     HILLS     the same with amplitude, wavelength, base and phase [rad] of a sinusoid
+    TAPER     both ends of its axis; the radius of the ball at each. It is the smallest convex body around both balls.
     """
 
     kind: int
@@ -98,6 +99,8 @@ def signed_distance(solids: Solids, k: int, x: Any) -> Any:
         return of_capsule(number, i, x)
     if kind == CONE:
         return of_cone(number, i, x)
+    if kind == TAPER:
+        return of_taper(number, i, x)
     # the others lie in a plane, with coordinates a and b
     offset, e, f = sub(x, vector(number, i)), vector(number, i + 3), vector(number, i + 6)
     a, b = dot(offset, e), dot(offset, f)
@@ -151,6 +154,31 @@ def of_capsule(number: Array, i: int, x: Any) -> Any:
     r = np.sqrt(dot(arm, arm))
     inverse = 1.0 / r if r > 0.0 else 0.0
     return r - radius, scale(arm, inverse), inverse, t
+
+
+@kernel
+def of_taper(number: Array, i: int, x: Any) -> Any:
+    """Return those of a tapered capsule: of the ball, centred on the axis, that reaches farthest towards x."""
+    start, low, high = vector(number, i), number[i + 6], number[i + 7]
+    offset, axis = sub(x, start), sub(vector(number, i + 3), start)
+    length = np.sqrt(dot(axis, axis))
+    t = scale(axis, 1.0 / length)
+    along = dot(offset, t)
+    arm = sub(offset, scale(t, along))
+    r = np.sqrt(dot(arm, arm))
+    sine = (low - high) / length
+    cosine = np.sqrt(1.0 - sine * sine)
+    at = along - r * sine / cosine
+    if 0.0 < at < length:
+        inverse = 1.0 / r if r > 0.0 else 0.0
+        out = scale(arm, inverse)
+        n, along_side = add(scale(out, cosine), scale(t, sine)), sub(scale(t, cosine), scale(out, sine))
+        return r * cosine + along * sine - low, n, cosine * inverse, along_side
+    end = at >= length
+    arm = sub(offset, scale(t, length if end else 0.0))
+    r = np.sqrt(dot(arm, arm))
+    inverse = 1.0 / r if r > 0.0 else 0.0
+    return r - (high if end else low), scale(arm, inverse), inverse, ZERO
 
 
 @kernel

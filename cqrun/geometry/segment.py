@@ -1,4 +1,4 @@
-"""Base of capsules, cylinders and cones: a segment from start to end, with a radius."""
+"""Base of capsules, cylinders and cones: a segment from start to end, with radii."""
 
 from __future__ import annotations
 
@@ -43,22 +43,26 @@ class SegmentShape(Shape):
         return np.asarray(start + (end - start) * fraction)
 
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
-        """Stretch along the axis, rotate with it, and scale distances from the segment with the radius there.
-
-        The rotation is the smallest one from the unit axis d to the new d':
-        R v = v - (d + d') (d + d').v / (1 + d.d') + 2 d' d.v.
-        """
+        """Stretch along the axis, rotate with it, and scale distances from the segment with the radius there."""
         fraction, axis = self.along(points)
         core = np.clip(fraction, 0.0, 1.0)
         start, axis_to = np.array(to.start), np.subtract(to.end, to.start)
-        length, length_to = np.sqrt(axis @ axis), np.sqrt(axis_to @ axis_to)
-        d, d_to = axis / length, axis_to / length_to
-        offset = points - np.array(self.start) - core[:, None] * axis
+        stretch = np.sqrt(axis_to @ axis_to) / self.length()
+        turned = self.turned(points - np.array(self.start) - core[:, None] * axis, to)
+        scale, dim = to.radius_at(core) / self.radius_at(core), len(self.start)
+        growth = np.where(core == fraction, stretch, scale) * scale ** (dim - 1)
+        return start + core[:, None] * axis_to + scale[:, None] * turned, growth
+
+    def turned(self, offset: Array, to: Self) -> Array:
+        """Return vectors (N, D) turned by the smallest rotation from its unit axis d to that of `to`, d'.
+
+        R v = v - (d + d') (d + d').v / (1 + d.d') + 2 d' d.v.
+        """
+        axis, axis_to = np.subtract(self.end, self.start), np.subtract(to.end, to.start)
+        d, d_to = axis / np.sqrt(axis @ axis), axis_to / np.sqrt(axis_to @ axis_to)
         both = d + d_to
         turned = offset - np.outer(offset @ both / (1.0 + d @ d_to), both) + 2.0 * np.outer(offset @ d, d_to)
-        scale, dim = to.radius_at(core) / self.radius_at(core), len(self.start)
-        growth = np.where(core == fraction, length_to / length, scale) * scale ** (dim - 1)
-        return start + core[:, None] * axis_to + scale[:, None] * turned, growth
+        return np.asarray(turned)
 
     def solid(self, kind: int, *lengths: float) -> Solid:
         """Return it as a solid of a kind with some lengths [m]."""

@@ -14,6 +14,7 @@ from cqrun.boundaries.solid import (
     HILLS,
     PLANE,
     POLYGON,
+    TAPER,
     TERRAIN,
     Solid,
     make_solids,
@@ -39,6 +40,7 @@ SOLIDS = {
     "ball": solid(CAPSULE, BAR[:1] * 2, [], [0.4]),
     "cylinder": solid(CONE, BAR, [], [0.4, 0.4]),
     "cone": solid(CONE, BAR, [], [0.5, 0.2]),
+    "tapered capsule": solid(TAPER, BAR, [], [0.45, 0.2]),
     "polygon": solid(POLYGON, [0, 0, 0], TURNED[:2], ARROW.ravel()),
     "terrain": solid(TERRAIN, [0, 0, 0], TURNED[:2], PROFILE.ravel()),
     "hills": solid(HILLS, [0, 0, 0], TURNED[:2], [0.1, 1.0, 0.05, 0.3]),
@@ -117,3 +119,15 @@ def test_the_distance_to_a_cone_is_that_of_the_nearest_facet(radii, rng):
     d = np.array([[signed_distance(table, k, tuple(p))[0] for k in (0, 1)] for p in x])
     assert (d[:, 0] < 0).sum() > 50
     np.testing.assert_allclose(d[:, 0], d[:, 1], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("radii", [(0.5, 0.2), (0.2, 0.5), (0.3, 0.3)])
+def test_the_distance_to_a_tapered_capsule_is_the_least_to_the_balls_in_it(radii, rng):
+    """It is the union of balls whose centres lie on the axis."""
+    table = make_solids([solid(TAPER, BAR, [], radii)])
+    x = np.concatenate([rng.uniform(-1, 1.3, (500, 3)), np.linspace(*np.array(BAR, float), 9)])
+    share = np.linspace(0, 1, 4001)[:, None]
+    centres, radius = share * BAR[1], radii[0] + share[:, 0] * (radii[1] - radii[0])
+    least = np.array([(np.linalg.norm(p - centres, axis=1) - radius).min() for p in x])
+    d = np.array([signed_distance(table, 0, tuple(p))[0] for p in x])
+    np.testing.assert_allclose(d, least, rtol=0, atol=1e-6)

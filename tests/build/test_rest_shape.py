@@ -29,6 +29,11 @@ SHAPES: dict[str, tuple[int, dict[str, Any]]] = {
     "ball": (3, {"shape": {"ball": {"center": [1, 2, 3], "radius": 0.5}}}),
     "stadium": (2, {"shape": {"capsule": {"start": [0, 0], "end": [1, 0.5], "radius": 0.3}}}),
     "capsule": (3, {"shape": {"capsule": BAR}}),
+    "tapered capsule": (3, {"shape": {"capsule": {**BAR, "end_radius": 0.15}}}),
+    "tapered stadium": (
+        2,
+        {"shape": {"capsule": {"start": [0, 0], "end": [1, 0.5], "radius": 0.1, "end_radius": 0.4}}},
+    ),
     "cylinder": (3, {"shape": {"cylinder": BAR}}),
     "cone": (3, {"shape": {"cone": TAPER}}),
     "trapezoid": (2, {"shape": {"cone": {**TAPER, "start": [0, 0], "end": [1, 0.5]}}}),
@@ -192,7 +197,7 @@ def test_polygons_without_shapely(monkeypatch):
         shape.carried(np.zeros((1, 2)), shape)
 
 
-@pytest.mark.parametrize("name", ["disc", "capsule", "cone", "difference"])
+@pytest.mark.parametrize("name", ["disc", "capsule", "tapered capsule", "cone", "difference"])
 def test_fitted_particles_follow_their_shape(name):
     """They have the volume of the shape before and, to the accuracy of the lattice, after its numbers change."""
     dim, body = SHAPES[name]

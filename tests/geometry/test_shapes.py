@@ -28,6 +28,10 @@ CASES: dict[str, tuple[int, dict[str, Any]]] = {
     "disc": (2, {"ball": {"center": [1, 2], "radius": 0.5}}),
     "capsule": (3, {"capsule": BAR}),
     "stadium": (2, {"capsule": {"start": [0, 0], "end": [1, 0.5], "radius": 0.3}}),
+    "tapered capsule": (3, {"capsule": {**BAR, "end_radius": 0.1}}),
+    "tapered stadium": (2, {"capsule": {"start": [0, 0], "end": [1, 0.5], "radius": 0.1, "end_radius": 0.4}}),
+    "sweep": (3, {"sweep": {"points": [[0, 0, 0], [1, 0.5, 0.2], [1.5, 1.5, 0]], "radii": [0.3, 0.2, 0.1]}}),
+    "chain": (2, {"sweep": {"points": [[0, 0], [1, 0], [1, 1]], "radii": [0.2], "curve": "straight"}}),
     "cylinder": (3, {"cylinder": BAR}),
     "cone": (3, {"cone": TAPER}),
     "trapezoid": (2, {"cone": {"start": [0, 0], "end": [1, 0.5], "start_radius": 0.1, "end_radius": 0.3}}),
@@ -59,6 +63,7 @@ CASES: dict[str, tuple[int, dict[str, Any]]] = {
 }
 EXACT = {"turned": 4.0, "turned in space": 2.0, "nested": np.pi}
 EXACT |= {"terrain": 1 + 1.5 + 1.625, "hills": 2.5 * 1.5 + 0.25 / (2 * np.pi) * np.cos(0.4 * np.pi) * 2}
+EXACT |= {"chain": 2 * 0.4 - 0.2**2 + np.pi / 4 * 0.2**2}
 EXACT |= {"cone": np.pi / 3 * 0.13 * np.sqrt(1.29), "trapezoid": 0.4 * np.sqrt(1.25)}
 EXACT |= {"scaled": 0.04 * np.pi, "polygon": 3.0, "difference": 2 - np.pi / 2, "union": 1 + 0.75 * np.pi}
 
@@ -117,6 +122,7 @@ LEVEL: dict[str, tuple[int, dict[str, Any]]] = {
     "side of a cone": (2, {"cone": {"start": [0, 0], "end": [2, 0], "start_radius": 0.4,
                                     "end_radius": 0.4 - 0.1 / 0.45}}),
     "capsule": (2, {"capsule": {"start": [0, 0], "end": [2, 0], "radius": 0.3}}),
+    "head of a capsule": (2, {"capsule": {"start": [0.9, -2], "end": [0.9, 0.1], "radius": 0.7, "end_radius": 0.2}}),
     "ball": (2, {"ball": {"center": [0.9, 0], "radius": 0.3}}),
 }  # fmt: skip
 
@@ -196,7 +202,7 @@ def test_dimension_errors_name_the_field() -> None:
     assert shape(CASES["polygon"][1]).dim_problems(2) == []
 
 
-WITHOUT_A_DISTANCE = ("hills", "valley", "difference", "intersection")
+WITHOUT_A_DISTANCE = ("hills", "valley", "difference", "intersection", "sweep", "chain")
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -229,3 +235,10 @@ def distance(one: Shape, points: np.ndarray) -> np.ndarray:
     places = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     each = [[signed_distance(table, k, tuple(x))[0] for k in range(len(table.kind))] for x in places]
     return np.min(each, axis=1)
+
+
+def test_a_capsule_of_which_one_end_lies_inside_the_other_is_an_error() -> None:
+    message = "is 1.2, and the radius 0.1: they must differ by less than the length of 1, or one end lies inside"
+    with pytest.raises(ValidationError, match=message):
+        shape({"capsule": {"start": [0, 0], "end": [1, 0], "radius": 0.1, "end_radius": 1.2}})
+    assert "end_radius" not in shape({"capsule": {"start": [0, 0], "end": [1, 0], "radius": 0.1}}).model_dump()
