@@ -1,11 +1,11 @@
-"""An independent solution for soft bodies made of boxes, under pressure in their cavities: finite elements of second order.
+"""An independent solution for soft bodies of boxes, under pressure in their cavities: finite elements of second order.
 
-scikit-fem gives the mesh, the basis functions and the quadrature (T. Gustafsson, G. D. McBain, J. Open Source Software 5
-(2020) 2369): it is pure Python on NumPy and SciPy, so it installs wherever cqrun does; sfepy needs a compiler. The law,
-the follower pressure and Newton's method are below, and nothing of them is shared with cqrun.
+scikit-fem gives the mesh, the basis functions and the quadrature (T. Gustafsson, G. D. McBain, J. Open Source Software
+5 (2020) 2369). It is pure Python on NumPy and SciPy, so it installs wherever cqrun does; sfepy needs a compiler. The
+law, the pressure that follows its face, and Newton's method are below, and nothing of them is shared with cqrun.
 
-Neo-Hookean: P = mu (F - F^-T) + lam ln J F^-T. Fibres along an axis a: P += k/2 (|F a|^2 - 1) (F a) a^T. Pressure p on a
-face with the normal N out of the body at rest: force -p J F^-T N per area at rest.
+Neo-Hookean: P = mu (F - F^-T) + lam ln J F^-T. Fibres along an axis a: P += k/2 (|F a|^2 - 1) (F a) a^T. Pressure p on
+a face with the normal N out of the body at rest: force -p J F^-T N per area at rest.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ def box_mesh(solid: Sequence[Box], hollow: Sequence[Box], size: float) -> MeshHe
     axes = []
     for d in range(3):
         planes = np.unique(np.round([corner[d] for box in (*solid, *hollow) for corner in box], 12))
-        pieces = [np.linspace(a, b, 1 + int(np.ceil((b - a) / size - 1e-9)))[:-1] for a, b in zip(planes, planes[1:])]
+        counts = np.ceil(np.diff(planes) / size - 1e-9).astype(int)
+        pieces = [np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(planes[:-1], planes[1:], counts, strict=True)]
         axes.append(np.concatenate([*pieces, planes[-1:]]))
     mesh = MeshHex.init_tensor(*axes)
     middle = mesh.p[:, mesh.t].mean(axis=1)
@@ -96,20 +97,24 @@ class SoftBody:
                 K = K.tocsc()[self.free][:, self.free]
                 change = np.zeros(3 * self.n)
                 change[self.free] = splu(K).solve(-residual[self.free])
-                u = u + self.damped(u, change.reshape(-1, 3), pressure, size)
+                u = u + self.damped(u, change.reshape(-1, 3), pressure, residual)
             found.append(u.copy())
         return found
 
-    def damped(self, u: Array, change: Array, pressure: float, size: float) -> Array:
-        """Return a part of a step that makes the residual smaller."""
-        part = 1.0
+    def damped(self, u: Array, change: Array, pressure: float, residual: Array) -> Array:
+        """Return a part of a step after which the residual does less work along it than before.
+
+        The residual itself may grow: a slender body that bends is stretched by a straight step.
+        """
+        along, part = change.ravel()[self.free], 1.0
+        work = abs(residual[self.free] @ along)
         while part > 1e-3:
             with np.errstate(invalid="ignore"):
-                r = self.system(u + part * change, pressure, tangent=False)[0]
-            if np.linalg.norm(r[self.free]) < (1.0 - 1e-3 * part) * size or np.linalg.norm(r[self.free]) < 1e-12:
+                trial = self.system(u + part * change, pressure, tangent=False)[0]
+            if abs(trial[self.free] @ along) < 0.8 * work:
                 return part * change
             part *= 0.5
-        return change
+        raise ArithmeticError(f"no step is possible at {pressure:g} Pa: give smaller steps of the pressure")
 
     def system(self, u: Array, pressure: float, *, tangent: bool = True) -> tuple[Array, Any]:
         """Return the residual (3 n,) [N] and its derivative."""
@@ -161,14 +166,13 @@ class SoftBody:
         return force, slope
 
     def turned(self, u: Array, boxes: Sequence[Box]) -> Array:
-        """Return the rotation (3, 3) that fits best to the part of the body in some boxes, as an angle about y [rad]."""
-        G, w, at = gradients(self.basis)
+        """Return by how much the part of the body in some boxes has turned about y [rad]: the best rigid fit."""
+        _, w, at = gradients(self.basis)
         x = np.asarray(self.basis.global_coordinates())
         N = np.array([np.asarray(self.basis.basis[a][0]) + 0 * w for a in range(len(at))])
         moved = x + np.einsum("aei,aeq->ieq", u[at], N)
         mass = w * inside(x, boxes)
         centre = [np.einsum("ieq,eq->i", each, mass) / mass.sum() for each in (x, moved)]
-        # the other half of the body is the mirror image
         B = np.einsum("ieq,keq,eq->ik", moved - centre[1][:, None, None], x - centre[0][:, None, None], mass)
         angle = np.arctan2(B[2, 0] - B[0, 2], B[0, 0] + B[2, 2])
         return np.asarray(angle)
@@ -186,8 +190,9 @@ class SoftBody:
 
 
 def gradients(basis: Any) -> tuple[Array, Array, Array]:
-    """Return the slopes of the functions (27, 3, e, q), the weights (e, q), and the numbers of the functions (27, e)."""
-    at = basis.dofs.element_dofs if not hasattr(basis, "find") else basis.dofs.element_dofs[:, basis.tind]
+    """Return slopes of the functions (27, 3, e, q), weights (e, q), and the numbers of the functions (27, e)."""
+    at = basis.dofs.element_dofs
+    at = at[:, basis.tind] if isinstance(basis, FacetBasis) else at
     G = np.array([np.asarray(basis.basis[a][0].grad) for a in range(len(at))])
     return G, np.asarray(basis.dx), at
 

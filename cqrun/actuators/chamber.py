@@ -8,7 +8,7 @@ tangent is symmetric. Where the chamber is closed, p depends on V (`closed_chamb
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Self
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -19,9 +19,19 @@ from cqrun.actuators.closed_chamber import ClosedKernel
 from cqrun.errors import UsageError
 from cqrun.explain import Loc, complaint, finding, listed
 from cqrun.forces.force import ACTIVATION, STRENGTH, Inside, Levels, Riding, Shares, Skin, register_force
-from cqrun.forces.wall import cavities, enclosed, enclosed_vjp, facet_work, press_facet, press_facet_vjp, winding
+from cqrun.forces.wall import (
+    across,
+    cavities,
+    enclosed,
+    enclosed_vjp,
+    facet_work,
+    press_facet,
+    press_facet_vjp,
+    winding,
+)
 from cqrun.numerics.compile import kernel
-from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.contract import Array, Plugin, quantity
 from cqrun.plugin.registry import plugin
 
 SUPPLIES = ("pressure", "gas", "liquid")
@@ -40,8 +50,8 @@ class ChamberKernel(NamedTuple):
 class Chamber(Actuator):
     """A hollow chamber in a body, under the pressure of a gas or a liquid on its walls as they move.
 
-    A chamber is a closed cavity of the body's shape: a hole of a `difference`, or an inner shell of a mesh. There are no
-    particles in it. All cavities of the body are on one line, unless `at` or `each` says which are meant.
+    A chamber is a closed cavity of the body's shape: a hole of a `difference`, or an inner shell of a mesh. There are
+    no particles in it. All cavities of the body are on one line, unless `region`, `at` or `each` says which are meant.
 
     With `pressure`, a regulator sets the pressure: activation pressure, above that around the body (suction if it is
     negative). With `gas`, the chamber is closed and holds air; an activation of 1 adds the air that would raise its
@@ -62,6 +72,9 @@ class Chamber(Actuator):
     bulk_modulus: float = quantity(
         "Pa", "Of the `liquid` and its hoses; 2.2e9 of water alone needs tiny substeps", gt=0, default=1.0e6
     )
+    region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
+        description="The cavities in this region share the line; all of the body's if absent", default=None
+    )
     at: list[float] | list[list[float]] | None = quantity(
         "m", "A point in the cavity at rest, or a list of points if several share the line", default=None, min_length=1
     )
@@ -77,9 +90,10 @@ class Chamber(Actuator):
         if len(given) != 1:
             message = f"needs exactly one of `pressure`, `gas` and `liquid`; has {listed(given) if given else 'none'}"
             raise complaint("Chamber", [finding(message, involves=SUPPLIES)])
-        if self.at is not None and self.each is not None:
-            message = "cannot be combined with `each`: give a point or an activation of its own to each chamber"
-            raise complaint("Chamber", [finding(message, involves=("at", "each"))])
+        chosen = [name for name in ("region", "at", "each") if getattr(self, name) is not None]
+        if len(chosen) > 1:
+            message = f"{listed([f'`{name}`' for name in chosen])} all say which cavities are meant: give one of them"
+            raise complaint("Chamber", [finding(message, involves=tuple(chosen))])
         return self
 
     @property
@@ -115,7 +129,9 @@ class Chamber(Actuator):
     def _points(self) -> list[list[float]]:
         if self.at is None:
             return []
-        return [point for point in self.at if isinstance(point, list)] or [[c for c in self.at if not isinstance(c, list)]]
+        return [point for point in self.at if isinstance(point, list)] or [
+            [c for c in self.at if not isinstance(c, list)]
+        ]
 
     def parts(self) -> tuple[str, ...]:
         """Return the names of its parts; a single part has an empty name."""
@@ -158,8 +174,21 @@ class Chamber(Actuator):
                     "a cell; name one of them, or make the wall thicker"
                 )
             return [found[part]]
+        if self.region is not None:
+            return self._within(skin, walls)
         points = self._points()
         return sorted({self._around(p, skin, walls) for p in points}) if points else list(range(len(walls)))
+
+    def _within(self, skin: Skin, walls: list[Array]) -> list[int]:
+        """Return the numbers of the walls that are in the region, seen from just inside their cavities."""
+        found = []
+        for k, wall in enumerate(walls):
+            x = skin.x[wall].mean(axis=1) - 0.1 * across(skin.x, wall)
+            if skin.pick(self.region, x, skin.particle[wall[:, 0]]).mean() > 0.5:
+                found.append(k)
+        if not found:
+            raise UsageError(f"no cavity of '{self.body}' lies in the region; its cavities are: {_places(skin, walls)}")
+        return found
 
     def _around(self, point: list[float], skin: Skin, walls: list[Array]) -> int:
         """Return the number of the wall around a point."""
@@ -167,8 +196,7 @@ class Chamber(Actuator):
             if abs(winding(skin.x, wall, np.array(point))) > 0.5:
                 return k
         at = ", ".join(f"{c:.4g}" for c in point)
-        where = "; ".join(_place(skin.x[np.unique(wall)], float(enclosed(skin.x, wall))) for wall in walls)
-        raise UsageError(f"({at}) lies in no cavity of '{self.body}'; its cavities are: {where}")
+        raise UsageError(f"({at}) lies in no cavity of '{self.body}'; its cavities are: {_places(skin, walls)}")
 
     # --- volume and pressure ------------------------------------------------------------------------------------------
 
@@ -185,7 +213,7 @@ class Chamber(Actuator):
         return enclosed_vjp(x, facets_in(constants), np.array(bar))
 
     def gauge(self, volume: Array, activation: Array, strength: float, rest: float) -> Array:
-        """Return the pressure [Pa] above that around the body at each moment (T,), for the volume and activation then."""
+        """Return the pressure [Pa] above that around the body at each moment (T,), for volume and activation then."""
         if self.pressure is not None:
             return np.asarray(activation * strength + 0.0 * volume)
         c, k = self.base
@@ -240,9 +268,12 @@ def facets_in(constants: Array) -> Array:
     return constants[3:].astype(np.int64).reshape(-1, int(constants[0]))
 
 
-def _place(x: Array, volume: float) -> str:
-    at = ", ".join(f"{c:.3g}" for c in x.mean(axis=0))
-    return f"{volume:.3g} m^{x.shape[1]} around ({at})"
+def _places(skin: Skin, walls: list[Array]) -> str:
+    def told(wall: Array) -> str:
+        at = ", ".join(f"{c:.3g}" for c in skin.x[np.unique(wall)].mean(axis=0))
+        return f"{enclosed(skin.x, wall):.3g} m^{skin.x.shape[1]} around ({at})"
+
+    return "; ".join(told(wall) for wall in walls)
 
 
 # --- in kernels: a given pressure -------------------------------------------------------------------------------------

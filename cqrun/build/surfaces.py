@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cqrun.build.particles import Particles
+from cqrun.build.regions import BodyPoints
 from cqrun.forces.force import Skin
 from cqrun.geometry.place import Place
 from cqrun.geometry.shape import finite_bounds
@@ -63,7 +64,13 @@ def skin_of(scene: Scene, particles: Particles, name: str) -> Skin:
     surface, k = surface_of(scene, particles), list(particles.names).index(name)
     begin, end = surface.begin[k], surface.begin[k + 1]
     facets = surface.facets[(surface.facets[:, 0] >= begin) & (surface.facets[:, 0] < end)]
-    return Skin(surface.x[begin:end], surface.particle[begin:end], facets - begin)
+    first, own, place = particles.of(name).start, particles.points[name], scene.bodies[name].place or Place()
+
+    def pick(region: Any, x: Array, particle: Array) -> Array:
+        local = place.to_local(x)
+        return BodyPoints(scene, name, x, x, local, own.piece[particle - first]).pick(region)
+
+    return Skin(surface.x[begin:end], surface.particle[begin:end], facets - begin, pick)
 
 
 def _find_surface(scene: Scene, particles: Particles) -> BodySurface:

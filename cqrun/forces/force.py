@@ -23,6 +23,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from cqrun.errors import UsageError
 from cqrun.numerics.compile import own_symbols
 from cqrun.numerics.dispatch import ByClass
 from cqrun.plugin.contract import Array, Plugin
@@ -70,6 +71,11 @@ class Levels(NamedTuple):
 own_symbols(Levels)
 
 
+def _no_regions(region: Any, x: Array, particle: Array) -> Array:
+    """Raise UsageError: the default of `Skin.pick`."""
+    raise UsageError("no region can be found here")
+
+
 class Skin(NamedTuple):
     """The surface of a body at rest, for forces on it.
 
@@ -77,11 +83,13 @@ class Skin(NamedTuple):
         x: its points (S, D) [m].
         particle: the nearest particle of the body to each (S,).
         facets: (T, D) the points of each segment or triangle, with normals out of the body.
+        pick: (region or its name, points (n, D) [m], particles next to them (n,)) -> which of them it contains (n,).
     """
 
     x: Array
     particle: Array
     facets: Array
+    pick: Callable[[Any, Array, Array], Array] = _no_regions
 
 
 class Riding(NamedTuple):

@@ -33,6 +33,16 @@ def cavities(skin: Skin) -> list[Array]:
     return [part[:, ::-1] for part in parts if enclosed(skin.x, part) < 0.0]
 
 
+def across(x: Array, facets: Array) -> Array:
+    """Return a vector (T, D) along the normal of each facet, as long as its first edge, for points x (S, D)."""
+    b = x[facets[:, 1]] - x[facets[:, 0]]
+    if x.shape[1] == 2:
+        return np.stack([b[:, 1], -b[:, 0]], axis=1)
+    normal = np.cross(b, x[facets[:, 2]] - x[facets[:, 0]])
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray(normal / np.where(size > 0, size, 1.0) * np.linalg.norm(b, axis=1, keepdims=True))
+
+
 def enclosed(x: Array, facets: Array) -> Any:
     """Return the volume (2D: area) that facets with outward normals enclose, for points x (..., S, D)."""
     corners = x[..., facets, :] - x[..., facets[:1, :1], :]

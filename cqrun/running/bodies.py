@@ -49,6 +49,10 @@ def rounding_of(built: Built) -> str:
 
 def on_particles(built: Built, part: Part) -> str:
     """Return what an actuator or a force acts on, and how far the points of its route are from there, as text."""
+    if hasattr(part.spec, "gauge"):
+        volume = part.spec.rest_size(part.model.at_rest(built.particles.x), part.model.constants)
+        facets = len(part.spec.facets(part.model.constants))
+        return f"{number(volume)} m^{built.model.dim} of '{part.spec.body}', in walls of {facets:,} facets"
     count, far = len(part.model.particles), tied(built.particles, part)
     text = f"{count:,} particle{'s' * (count != 1)} of '{body_of(part.spec)}'"
     return text if far is None else f"{text}, at most {far} from the points of its route"

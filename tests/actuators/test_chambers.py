@@ -1,8 +1,6 @@
-"""Chambers: their walls and forces, the adjoints in motion and at equilibrium, what is measured, and what is refused."""
+"""Chambers: walls and forces, adjoints in motion and at equilibrium, what is measured, and what is refused."""
 
 from __future__ import annotations
-
-import json
 
 import json
 
@@ -141,7 +139,10 @@ cqrun: 1
 world: {size: [0.12, 0.1], dx: 0.005, gravity: [0, -9.81], frame: reference}
 bodies:
   finger:
-    shape: {difference: [{box: {corner: [0.02, 0.03], size: [0.08, 0.04]}}, {box: {corner: [0.035, 0.045], size: [0.05, 0.015]}}]}
+    shape:
+      difference:
+        - box: {corner: [0.02, 0.03], size: [0.08, 0.04]}
+        - box: {corner: [0.035, 0.045], size: [0.05, 0.015]}
     particles_per_cell: 4
     material: {density: 1000, elastic: {neo_hookean: {youngs_modulus: 1.0e5, poissons_ratio: 0.3}}}
 boundaries: {clamp: {sticky: {region: {box: {corner: [0, 0], size: [0.03, 0.1]}}}}}
@@ -212,11 +213,16 @@ def test_what_is_measured(tmp_path):
 
 @needs_jit
 def test_threads_change_no_bit(tmp_path):
-    runs = [
-        run_simulate(finger(tmp_path, "gas"), [], tmp_path / f"{n}", threads=n) for n in (1, 2)
-    ]
+    runs = [run_simulate(finger(tmp_path, "gas"), [], tmp_path / f"{n}", threads=n) for n in (1, 2)]
     for one, two in zip(*(measured(run) for run in runs), strict=True):
         assert np.array_equal(one, two)
+
+
+def test_a_region_names_cavities(tmp_path):
+    hollow = "regions={hole: {box: {corner: [0.035, 0.045], size: [0.05, 0.015]}}}"
+    model = build(load_scene(finger(tmp_path), [hollow, "actuators.air.chamber.region=hole"])).model
+    whole = build(load_scene(finger(tmp_path))).model
+    assert np.array_equal(model.actuators[0].constants, whole.actuators[0].constants)
 
 
 BAD = {
@@ -233,7 +239,11 @@ BAD = {
     "no supply": (["actuators.air.chamber.pressure=null"], "has none"),
     "at and each": (
         ["actuators.air.chamber.each={a: [0.04, 0.05]}", "actuators.air.chamber.at=[0.04, 0.05]"],
-        "cannot be combined with `each`",
+        "`at` and `each` all say which cavities are meant",
+    ),
+    "a region without": (
+        ["actuators.air.chamber.region={box: {corner: [0.02, 0.03], size: [0.01, 0.01]}}"],
+        "no cavity of 'finger' lies in the region",
     ),
     "three numbers": (["actuators.air.chamber.at=[0.04, 0.05, 0]"], "must have 2 entries"),
     "the other frame": (["world.frame=updated"], "acts in the reference frame alone"),

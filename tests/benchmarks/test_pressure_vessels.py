@@ -1,6 +1,7 @@
-"""Hollow bodies under inner pressure, from scenes with a `chamber`, against closed forms (benchmarks/convergence/vessels.py).
+"""Hollow bodies under inner pressure, from scenes with a `chamber`, against closed forms.
 
-How far the inner surface has moved is told by the chamber's volume, V / V0 = (r / R)^D.
+The closed forms are in benchmarks/convergence/vessels.py. How far the inner surface has moved is told by the chamber's
+volume, V / V0 = (r / R)^D.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ pytestmark = needs_jit
 INNER, OUTER, E = 0.02, 0.04, 1.0e5
 
 
-def vessel(dim: int, cells: int, nu: float, supply: dict[str, Any], path: dict[str, Any], **world: Any) -> dict[str, Any]:
+def vessel(
+    dim: int, cells: int, nu: float, supply: dict[str, Any], path: dict[str, Any], **world: Any
+) -> dict[str, Any]:
     """Return a hollow ball (2D: disc), with `cells` across its wall, with planes of symmetry."""
     dx = (OUTER - INNER) / cells
     middle = [OUTER + 3 * dx] * dim
@@ -43,7 +46,10 @@ def vessel(dim: int, cells: int, nu: float, supply: dict[str, Any], path: dict[s
         "boundaries": {side: {"slip": plane(k, middle, dx)} for k, side in enumerate(sides)},
         "actuators": {"air": {"chamber": {"body": "vessel", **supply}}},
         "activation": {"signals": {"air": [1]}},
-        "measure": {"volume": {"chamber_volume": {"chamber": "air"}}, "pressure": {"chamber_pressure": {"chamber": "air"}}},
+        "measure": {
+            "volume": {"chamber_volume": {"chamber": "air"}},
+            "pressure": {"chamber_pressure": {"chamber": "air"}},
+        },
         "path": path,
     }
 
@@ -85,3 +91,67 @@ def test_large_stretches(dim, cells, tmp_path):
     assert stretch[-1] > 1.4
     for s, p in zip(stretch[1:], pressure[1:], strict=True):
         assert p == pytest.approx(exact.pressure(float(s)), rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_balloon_has_a_limit_point(tmp_path):
+    """A thick ball of rubber that is filled with liquid: its pressure rises to that of the closed form, and falls."""
+    exact = Vessel(3, INNER, OUTER, E, 0.5)
+    stretch_there, highest = exact.limit()
+    path = {"actuators.air.chamber.liquid": [0.5, 1, 2, 3, 4, 5, 6, 7, 8.5, 10]}
+    scene = vessel(3, 4, 0.499, {"liquid": 10, "bulk_modulus": 1e6}, path, volume="averaged")
+    stretch, pressure, _ = measured(scene, tmp_path)
+    assert pressure[1:].max() == pytest.approx(highest, rel=0.02)
+    assert stretch[1 + pressure[1:].argmax()] == pytest.approx(stretch_there, abs=0.1)
+    assert pressure[-1] < 0.995 * pressure[1:].max()
+    for s, p in zip(stretch[1:], pressure[1:], strict=True):
+        assert p == pytest.approx(exact.pressure(float(s)), rel=0.02)
+
+
+@pytest.mark.slow
+def test_beyond_the_limit_there_is_no_equilibrium(tmp_path):
+    """A regulator that asks for more than a balloon can hold is told so, with the pressure that was reached."""
+    _, highest = Vessel(3, INNER, OUTER, E, 0.5).limit()
+    path = {"actuators.air.chamber.pressure": [0.8 * highest, 1.2 * highest]}
+    scene = vessel(3, 4, 0.49, {"pressure": highest}, path, volume="averaged")
+    _, _, result = measured(scene, tmp_path)
+    assert [point.converged for point in result.points] == [True, False]
+    assert "chamber 'air'" in " ".join([result.message, *result.findings])
+
+
+@pytest.mark.slow
+def test_a_closed_tube_becomes_longer(tmp_path):
+    """A long straight tube with ends, 4 cells across its wall: its middle stretches as Lame says, within 2 %."""
+    inner, outer, dx, nu, pressure = 0.004, 0.008, 0.001, 0.3, 200.0
+    middle, ends = [0.011, 0.011], (0.004, 0.056)
+    rod = lambda radius, low, high: {  # noqa: E731
+        "cylinder": {"start": [low, *middle], "end": [high, *middle], "radius": radius}
+    }
+    slab = lambda x: {"box": {"corner": [x, 0, 0], "size": [2 * dx, 0.022, 0.022]}}  # noqa: E731
+    scene = {
+        "cqrun": 1,
+        "job": "rest",
+        "world": {"size": [0.064, 0.022, 0.022], "dx": dx, "frame": "reference"},
+        "bodies": {
+            "tube": {
+                "shape": {"difference": [rod(outer, *ends), rod(inner, ends[0] + 0.004, ends[1] - 0.004)]},
+                "spacing": dx / 2,
+                "sampling": {"lattice": {"fitted": True}},
+                "groups": {"left": slab(0.022), "right": slab(0.038)},
+                "material": {"density": 1000, "elastic": {"neo_hookean": {"youngs_modulus": E, "poissons_ratio": nu}}},
+            }
+        },
+        "boundaries": {
+            "x": {"slip": plane(0, [0.03, *middle], dx)},
+            "y": {"slip": plane(1, [0.03, *middle], dx)},
+            "z": {"slip": plane(2, [0.03, *middle], dx)},
+        },
+        "actuators": {"air": {"chamber": {"body": "tube", "pressure": pressure}}},
+        "activation": {"signals": {"air": [1]}},
+        "measure": {"length": {"distance": {"body": "tube", "group": "left", "to_group": "right"}}},
+    }
+    run = REST.start("tube", load_scene(scene), tmp_path)
+    found = read_trajectory(run / "trajectory.h5").measured
+    assert found is not None
+    length = found.quantities["length"].values[:, 0]
+    assert length[-1] / length[0] - 1.0 == pytest.approx(closed_tube(inner, outer, E, nu, pressure), rel=0.02)
