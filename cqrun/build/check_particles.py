@@ -60,10 +60,10 @@ PROBES = 16
 def file_problems(scene: Scene) -> tuple[list[Problem], list[Problem]]:
     """Return the problems with the files that a scene is built from, and the warnings about files of shapes."""
     problems, warnings = unreadable_files(scene, READ_WHEN_BUILT), []
-    unreadable = {problem.path for problem in problems}
+    unreadable = tuple(problem.path for problem in problems)
     for loc, part in parts(scene):
         path = joined((*loc, "file"))
-        if isinstance(part, FileShape) and path not in unreadable:
+        if isinstance(part, FileShape) and not any(each.startswith(f"{joined(loc)}.") for each in unreadable):
             try:
                 warnings += [_problem(scene, path, message) for message in part.examine()]
             except UsageError as error:

@@ -13,6 +13,7 @@ import numpy as np
 
 from cqrun.build.limits import Limit
 from cqrun.errors import Problem, SceneError
+from cqrun.geometry.mesh import UNITS, Mesh
 from cqrun.geometry.place import Place
 from cqrun.geometry.shape import Shape
 from cqrun.materials.moduli import moduli_of
@@ -37,35 +38,77 @@ SOFTEST = 1e3
 _LARGEST, _SMALLEST = 2.0, 0.1
 """Largest size of a body, in sizes of the world, and smallest, in cells. The bounds of turned shapes are loose."""
 
-_TOO_LARGE = {"are its lengths in millimetres": 1e-3, "are they in centimetres": 1e-2, "are they in inches": 0.0254}
-_TOO_SMALL = {"is the world in millimetres": 1e3, "is it in centimetres": 1e2}
-"""Questions on the unit of a body of another size, and the factor that helps if the answer is yes."""
+_LENGTHS = {"mm": "millimetres", "cm": "centimetres", "in": "inches", "m": "metres"}
+"""Units of lengths in words, the likeliest first."""
 
 
 def bodies_of_another_size(scene: Scene) -> Iterator[Problem]:
-    """Yield a problem for each piece of a body that is far larger than the world, or far smaller than a cell."""
+    """Yield a problem for each piece of a body that is far larger than the world, or far smaller than a cell.
+
+    The bounds of a mesh are exact. So it is also asked about if it reaches out of the world at all, and another unit
+    brings it inside.
+    """
     world, dx = np.array(scene.world.size), scene.world.dx
     for name, body in scene.bodies.items():
         for path, shape in body.pieces.items():
             size = _size(shape) * (body.place or Place()).scale
-            if not (np.isfinite(size) & (size > 0)).all() or _SMALLEST * dx <= size.max() <= _LARGEST * world.max():
+            if not (np.isfinite(size) & (size > 0)).all():
                 continue
-            if size.max() > dx:
-                than, question = f"the world is {_product(world)} m", _other_unit(scene, shape, size, _TOO_LARGE)
-            else:
-                than, question = f"a cell of the grid is {dx:.4g} m", _other_unit(scene, shape, size, _TOO_SMALL)
-            message = f"is {_product(size)} m, but {than}{question}"
             key = f"bodies.{name}.{path}"
+            if _SMALLEST * dx <= size.max() <= _LARGEST * world.max():
+                if isinstance(shape, Mesh) and body.place is None and (question := _outside(scene, shape)):
+                    yield Problem(scene.where(key), key, question)
+                continue
+            large = size.max() > dx
+            than = f"the world is {_product(world)} m" if large else f"a cell of the grid is {dx:.4g} m"
+            message = f"is {_product(size)} m, but {than}{_other_unit(scene, shape, size, large)}"
             yield Problem(scene.where(key), key, message)
 
 
-def _other_unit(scene: Scene, shape: Shape, size: Array, units: dict[str, float]) -> str:
+def _other_unit(scene: Scene, shape: Shape, size: Array, large: bool) -> str:
     """Return a question on the unit of a shape's lengths, and what to give then."""
-    for unit, factor in units.items():
-        if (size * factor <= scene.world.size).all() and (size * factor).max() >= scene.world.dx:
-            cure = f"give `scale: {factor * shape.scale:g}`" if isinstance(shape, Place) else f"multiply by {factor:g}"
-            return f"; {unit}? then {cure}"
+
+    def fits(factor: float) -> bool:
+        return bool((size * factor <= scene.world.size).all() and (size * factor).max() >= scene.world.dx)
+
+    if isinstance(shape, Mesh):
+        for unit, factor in _other_units(shape):
+            if fits(factor):
+                return f"; is its file in {_LENGTHS[unit]}? then give `units: {unit}`"
+    for unit, words in _LENGTHS.items():
+        factor = UNITS[unit] if large else 1.0 / UNITS[unit]
+        if unit != "m" and fits(factor):
+            question = f"are its lengths in {words}" if large else f"is the world in {words}"
+            cure = (
+                f"give `scale: {factor * shape.scale:.4g}`" if isinstance(shape, Place) else f"multiply by {factor:.4g}"
+            )
+            return f"; {question}? then {cure}"
     return ": check its unit"
+
+
+def _outside(scene: Scene, mesh: Mesh) -> str:
+    """Return a question on the unit of a mesh that is not in the world; empty if no other unit brings it there."""
+    lower, upper = mesh.bounds()
+    offset, world = np.array(mesh.offset or [0.0] * 3), np.array(scene.world.size)
+
+    def within(factor: float) -> bool:
+        low, high = (offset + factor * (corner - offset) for corner in (lower, upper))
+        return bool((low >= 0).all() and (high <= world).all() and (high - low).max() >= scene.world.dx)
+
+    if (lower < world).all() and (upper > 0).all() and (upper - lower <= world).all():
+        return ""  # a part of it is in the world, which it fits
+    for unit, factor in _other_units(mesh):
+        if within(factor):
+            return (
+                f"reaches from {_point(lower)} to {_point(upper)} m, but the world is {_product(world)} m; is its file "
+                f"in {_LENGTHS[unit]}? then give `units: {unit}`"
+            )
+    return ""
+
+
+def _other_units(mesh: Mesh) -> Iterator[tuple[str, float]]:
+    """Yield the other units that a mesh may have, and the factor of its size with each."""
+    yield from ((unit, UNITS[unit] / UNITS[mesh.units]) for unit in _LENGTHS if unit != mesh.units)
 
 
 def unit_questions(scene: Scene) -> Iterator[Problem]:
@@ -157,3 +200,7 @@ def _size(shape: Shape) -> Array:
 
 def _product(size: Array | list[float]) -> str:
     return " x ".join(f"{edge:.4g}" for edge in size)
+
+
+def _point(x: Array) -> str:
+    return "(" + ", ".join(f"{c + 0.0:.4g}" for c in x) + ")"

@@ -32,7 +32,7 @@ common mistakes
 
   density 1.07               is g/cm^3: write 1070. A body that is a thousand times too light asks for tiny substeps
   youngs_modulus 180         is kPa: write 1.8e5. The body is flattened by its weight
-  size [150, 20]             is mm: write [0.15, 0.02]. For a mesh in mm, give `scale: 0.001`
+  size [150, 20]             is mm: write [0.15, 0.02]. For a mesh in mm, give `units: mm`
   gravity [0, 9.81]          points up: write [0, -9.81]
   a recording in mm          give the recording `units: mm` (m, cm or mm) if its file does not name them
   hardness (Shore A or 00)   is no modulus: fit youngs_modulus to a recording, or read it from a tensile test

@@ -12,6 +12,9 @@ from cqrun.geometry.shape import Shape
 from cqrun.memory import shortage
 from cqrun.plugin.reference import FileName, why_unreadable
 
+Stamp = tuple[Path, int, int]
+"""What identifies a version of a file: path, time and size."""
+
 
 class FileShape(Shape):
     """A shape in a file; the file's content is part of the run's identity."""
@@ -23,16 +26,13 @@ class FileShape(Shape):
         """Where the file is."""
         return self.path_of(self.file)
 
-    def stamp(self) -> tuple[Path, int, int]:
+    def stamp(self) -> Stamp:
         """Return what identifies this version of the file: path, time and size.
 
         Raises:
             UsageError: there is no such file, or none that can be read.
         """
-        if why := why_unreadable(self.path):
-            raise UsageError(f"{self.path}: cannot be read ({why}); the name starts from the scene's folder")
-        stat = self.path.stat()
-        return self.path, stat.st_mtime_ns, stat.st_size
+        return stamp_of(self.path)
 
     @abstractmethod
     def examine(self) -> list[str]:
@@ -41,6 +41,18 @@ class FileShape(Shape):
         Raises:
             UsageError: it is missing or unreadable, or no body can be made from it.
         """
+
+
+def stamp_of(path: Path) -> Stamp:
+    """Return what identifies this version of a file.
+
+    Raises:
+        UsageError: there is no such file, or none that can be read.
+    """
+    if why := why_unreadable(path):
+        raise UsageError(f"{path}: cannot be read ({why}); the name starts from the scene's folder")
+    stat = path.stat()
+    return path, stat.st_mtime_ns, stat.st_size
 
 
 def require_memory(path: Path, need: int, advice: str) -> None:

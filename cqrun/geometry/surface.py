@@ -13,7 +13,7 @@ import numpy as np
 
 from cqrun.geometry.edges import Edges
 from cqrun.geometry.shape import cell_centres
-from cqrun.geometry.shells import shells_to_turn
+from cqrun.geometry.shells import judged, point_text
 from cqrun.geometry.winding import winding_numbers
 from cqrun.plugin.contract import Array
 
@@ -32,6 +32,15 @@ OPEN = Fault("has holes", "close its holes")
 ONE_SIDED = Fault("has only one side, as a Moebius strip has", "make it a closed surface")
 CROSSED = Fault("crosses itself", "repair it where it crosses")
 
+_MISSING = 0.01
+"""Share of an inner shell that may be missing; the winding number closes such holes."""
+
+_SHEET = 0.3
+"""Share of a shell that is missing from which it counts as a sheet; of half a ball it is 0.5."""
+
+_BESIDE = 1e-3
+"""Distance from a face at which its sides are looked at, in its size."""
+
 _LOOSE = 0.25
 """Largest share of the area that is left out because it encloses nothing."""
 
@@ -43,16 +52,22 @@ class Surface:
     Attributes:
         vertices: (V, 3) in units of the file.
         faces: (T, 3) indices of vertices, counterclockwise seen from outside.
-        winding: (P,) winding numbers at `PROBES`^3 points over the bounds.
+        probes: (P, 3) `PROBES`^3 points over the bounds.
+        winding: (P,) winding numbers there.
         fault: why it is not closed; None if it is.
         remarks: what was mended, in words.
+        trouble: why no body can be made of it, in words; empty if one can.
+        overlap: whether cavities overlap, so that they are enclosed the wrong way round twice.
     """
 
     vertices: Array
     faces: Array
+    probes: Array
     winding: Array
     fault: Fault | None
     remarks: tuple[str, ...]
+    trouble: str = ""
+    overlap: bool = False
 
 
 def surface_of(vertices: Array, faces: Array) -> Surface:
@@ -72,11 +87,13 @@ def surface_of(vertices: Array, faces: Array) -> Surface:
     winding = winding_numbers(vertices, faces, points)
     if winding.sum() < 0:  # inside out as a whole: some programs write faces clockwise
         faces, winding = np.ascontiguousarray(faces[:, ::-1]), -winding
-    wrong, more = shells_to_turn(vertices, faces)
-    if wrong.any():
-        faces = _reversed_where(wrong, faces)
+    shells = judged(vertices, faces)
+    if shells.turn.any():
+        faces = _reversed_where(shells.turn, faces)
         winding = winding_numbers(vertices, faces, points)
-    return Surface(vertices, faces, winding, _fault(vertices, faces), (*remarks, *more))
+    fault, remarks = _fault(vertices, faces), [*remarks, *shells.remarks]
+    trouble = shells.trouble or (_open_cavity(vertices, faces) if fault else _no_wall(vertices, faces))
+    return Surface(vertices, faces, points, winding, fault, tuple(remarks), trouble, shells.overlap)
 
 
 # --- repairs ------------------------------------------------------------------------------------------------
@@ -102,8 +119,10 @@ def _without_loose(vertices: Array, faces: Array) -> tuple[Array, list[str]]:
     edges = Edges.of(faces)
     piece = edges.pieces(edges.faces == 2)
     out = np.isin(piece, piece[(edges.faces[edges.at] == 1).any(axis=1)])
-    a, b, c = vertices[faces].transpose(1, 0, 2)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    normals = _normals(vertices, faces)
+    area = 0.5 * np.linalg.norm(normals, axis=1)
+    shells = [k for k in np.unique(piece[out]) if _missing(normals[piece == k]) < _SHEET]  # these have holes
+    out &= ~np.isin(piece, shells)
     if not out.any() or area[out].sum() > _LOOSE * area.sum() or not _even(faces[~out]):
         return faces, []
     return faces[~out], [f"{_count(out.sum(), 'face encloses', 'faces enclose')} nothing, and {_are(out)} left out"]
@@ -135,10 +154,63 @@ def _fault(vertices: Array, faces: Array) -> Fault | None:
     crowded = np.flatnonzero((edges.faces > 2) & (edges.excess != 0))
     if not len(crowded):
         return OPEN if holes else ONE_SIDED
-    place = ", ".join(f"{x:.4g}" for x in vertices[edges.ends[crowded[0]]].mean(axis=0))
-    what = f"{_count(len(crowded), 'edge', 'edges')} at which more than two faces meet, such as at ({place})"
+    place = point_text(vertices[edges.ends[crowded[0]]].mean(axis=0))
+    what = f"{_count(len(crowded), 'edge', 'edges')} at which more than two faces meet, such as at {place}"
     cure = "delete its inner walls, and faces that stick out of it"
     return Fault(f"{OPEN.what} and {what}", f"{cure}; {OPEN.cure}") if holes else Fault(f"has {what}", cure)
+
+
+def _open_cavity(vertices: Array, faces: Array) -> str:
+    """Return which inner shell is open, in words; empty if none is."""
+    edges = Edges.of(faces)
+    if not (edges.faces == 1).any():
+        return ""
+    piece = edges.pieces(np.ones(len(edges.ends), bool))
+    normals = _normals(vertices, faces)
+    rim = (edges.faces[edges.at] == 1).any(axis=1)  # faces at a hole
+    for k in np.unique(piece[rim]):
+        own = piece == k
+        missing = _missing(normals[own])
+        ends = edges.ends[np.unique(edges.at[own][edges.faces[edges.at[own]] == 1])].reshape(-1)
+        if own.all() or missing < _MISSING:
+            continue
+        rest = winding_numbers(vertices, np.ascontiguousarray(faces[~own]), vertices[ends])
+        if np.median(np.abs(rest)) > 0.5:
+            return (
+                f"an inner shell has a hole at {point_text(vertices[ends].mean(axis=0))}, of about {missing:.0%} of "
+                "its surface: a cavity must be closed; close its holes"
+            )
+    return ""
+
+
+def _missing(normals: Array) -> float:
+    """Return the share of a shell that its holes are, from the area vectors (T, 3) of its faces."""
+    return float(np.linalg.norm(normals.sum(axis=0)) / max(np.linalg.norm(normals, axis=1).sum(), 1e-300))
+
+
+def _normals(vertices: Array, faces: Array) -> Array:
+    """Return normals (T, 3) of faces, twice as long as their areas."""
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    return np.cross(b - a, c - a)
+
+
+def _no_wall(vertices: Array, faces: Array) -> str:
+    """Return where a wall has no thickness, in words; empty if all have some."""
+    edges = Edges.of(faces)
+    crowded = np.flatnonzero((edges.faces[edges.at] > 2).any(axis=1))
+    if not len(crowded):
+        return ""
+    normal, middle = _normals(vertices, faces[crowded]), vertices[faces[crowded]].mean(axis=1)
+    size = np.sqrt(np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300))
+    away = _BESIDE * normal / size
+    empty = [np.abs(winding_numbers(vertices, faces, middle + sign * away)) < 0.5 for sign in (1, -1)]
+    found = np.flatnonzero(empty[0] & empty[1])
+    if not len(found):
+        return ""
+    return (
+        f"a wall has no thickness at {point_text(middle[found[0]])}: two cavities meet there, or a cavity and the "
+        "outside; leave a wall, or delete it"
+    )
 
 
 def _probes(vertices: Array) -> Array:

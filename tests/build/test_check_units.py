@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,23 +104,36 @@ def test_scenes_of_the_project_are_not_asked_about(file: Path) -> None:
 # --- sizes --------------------------------------------------------------------------------------------------
 
 
-def filled(tmp_path: Path, edge: float, **mesh: Any) -> str:
-    """Return the refusal of a scene of 0.1 m with a mesh of some size."""
-    trimesh.creation.box((edge, edge, 2 * edge)).export(tmp_path / "part.stl")
+def filled(tmp_path: Path, edge: float, at: Sequence[float] = (0.0, 0.0, 0.0), dx: float = 0.005, **mesh: Any) -> str:
+    """Return the refusal of a scene of 0.1 m with a mesh of some size, and its middle at a place in the file."""
+    part = trimesh.creation.box((edge, edge, 2 * edge))
+    part.apply_translation(at)
+    part.export(tmp_path / "part.stl")
     shape = {"mesh": {"file": str(tmp_path / "part.stl"), "offset": [0.05, 0.05, 0.05], **mesh}}
     with pytest.raises(SceneError) as info:
-        sample(scene("world.size=[0.1, 0.1, 0.1]", "world.gravity=[0, 0, 0]", shape=shape))
+        sample(scene("world.size=[0.1, 0.1, 0.1]", f"world.dx={dx}", "world.gravity=[0, 0, 0]", shape=shape))
     return str(info.value)
 
 
-def test_mesh_in_millimetres_is_asked_about_before_it_is_filled(tmp_path: Path) -> None:
+def test_mesh_in_another_unit_is_asked_about_before_it_is_filled(tmp_path: Path) -> None:
     sizes = "is 20 x 20 x 40 m, but the world is 0.1 x 0.1 x 0.1 m"
-    question = "are its lengths in millimetres? then give `scale: 0.001`"
-    assert filled(tmp_path, 20.0) == f"scene: bodies.arm.shape: {sizes}; {question}"
-    assert filled(tmp_path, 10.0, scale=2.0).endswith("are its lengths in millimetres? then give `scale: 0.002`")
-    assert filled(tmp_path, 2000.0, scale=0.01).endswith("are its lengths in millimetres? then give `scale: 1e-05`")
-    assert filled(tmp_path, 1.0).endswith("; are they in centimetres? then give `scale: 0.01`")
+    question = "; is its file in millimetres? then give `units: mm`"
+    assert filled(tmp_path, 20.0) == f"scene: bodies.arm.shape: {sizes}{question}"
+    assert filled(tmp_path, 10.0, scale=2.0) == f"scene: bodies.arm.shape: {sizes}{question}"
+    assert filled(tmp_path, 2.0, units="cm", scale=10.0).endswith(question)
+    assert filled(tmp_path, 2.0).endswith("; is its file in centimetres? then give `units: cm`")
+    assert filled(tmp_path, 0.2).endswith("; is its file in inches? then give `units: in`")
     assert filled(tmp_path, 1e5).endswith("but the world is 0.1 x 0.1 x 0.1 m: check its unit")
+
+
+def test_mesh_beside_the_world_is_asked_about_if_another_unit_brings_it_inside(tmp_path: Path) -> None:
+    """It is no larger than twice the world."""
+    message = filled(tmp_path, 0.09, offset=[0.0, 0.0, 0.0], at=[0.5, 0.5, 0.5], dx=0.002)
+    assert message == (
+        "scene: bodies.arm.shape: reaches from (0.455, 0.455, 0.41) to (0.545, 0.545, 0.59) m, but the world is 0.1 x "
+        "0.1 x 0.1 m; is its file in inches? then give `units: in`"
+    )
+    assert "reaches z = 0.56" in filled(tmp_path, 0.09, units="in", at=[0.0, 0.0, 20.0], dx=0.002)
 
 
 def test_mesh_far_smaller_than_a_cell_is_asked_about(tmp_path: Path) -> None:
@@ -127,6 +141,7 @@ def test_mesh_far_smaller_than_a_cell_is_asked_about(tmp_path: Path) -> None:
         "is 2e-05 x 2e-05 x 4e-05 m, but a cell of the grid is 0.005 m; is the world in millimetres? then give "
         "`scale: 1000`"
     )
+    assert filled(tmp_path, 0.02, units="mm").endswith("; is its file in metres? then give `units: m`")
 
 
 def test_box_in_millimetres_is_asked_about() -> None:

@@ -131,7 +131,7 @@ def test_surface_that_crosses_itself_a_little_gives_a_warning(sphere: Any, tmp_p
     pulled[np.linalg.norm(pulled - [0.0, 0.0, 1.0], axis=1) < 0.25] *= [1.0, 1.0, -1.5]  # through the far side
     (warning,) = saved(as_given(pulled, sphere.faces), tmp_path / "pulled.ply").examine()
     assert "pulled.ply: crosses itself, or is inside out in parts: " in warning
-    assert warning.endswith(" is enclosed the wrong way round, and is left out")
+    assert warning.endswith(" is enclosed the wrong way round (at (0.04167, 0.125, -1.038)), and is left out")
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj"])

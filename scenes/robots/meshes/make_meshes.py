@@ -19,8 +19,15 @@ Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
 
 def pneunet(
-    chambers: int = 7, length: float = 100.0, width: float = 20.0, height: float = 20.0, wall: float = 2.0,
-    layer: float = 3.0, gap: float = 2.0, channel: tuple[float, float] = (4.0, 2.0), root: float = 4.0,
+    chambers: int = 7,
+    length: float = 100.0,
+    width: float = 20.0,
+    height: float = 20.0,
+    wall: float = 2.0,
+    layer: float = 3.0,
+    gap: float = 2.0,
+    channel: tuple[float, float] = (4.0, 2.0),
+    root: float = 4.0,
 ) -> tuple[list[Box], list[Box]]:
     """Return the boxes of a bending actuator, and those of its cavity, along x, its limiting layer at z = 0.
 
@@ -49,7 +56,7 @@ def pneunet(
 
 def surface(solid: Sequence[Box], cavity: Sequence[Box]) -> np.ndarray:
     """Return the triangles (n, 3, 3) [mm] of boxes without others, counterclockwise seen from outside."""
-    boxes = np.array([*solid, *cavity], float)
+    boxes = np.round(np.array([*solid, *cavity], float), 6)  # so that equal planes are one
     planes = [np.unique(boxes[:, axis]) for axis in range(3)]
     full = np.zeros([len(ends) + 1 for ends in planes], bool)  # with an empty cell before and after
     for number, box in enumerate(boxes):
