@@ -263,6 +263,11 @@ class Chamber(Actuator):
         return 4.0 * abs(strength) * k * size ** (dim - 2) + c * dim * size ** (dim - 1) / max(middle, size)
 
 
+def is_chamber(spec: object) -> bool:
+    """Return whether an actuator is a chamber."""
+    return isinstance(spec, Chamber)
+
+
 def facets_in(constants: Array) -> Array:
     """Return the points of each facet (T, D) from a part's constants."""
     return constants[3:].astype(np.int64).reshape(-1, int(constants[0]))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from cqrun.actuators.chamber import is_chamber
 from cqrun.build.model import Built
 from cqrun.engine.reference.corners import hat_slopes, hats
 from cqrun.engine.reference.rest import rest_geometry
@@ -91,5 +92,5 @@ def _walls(built: Built) -> dict[str, Wall]:
     return {
         part.name: Wall(part.model.particles, part.model.offsets, part.spec.facets(part.model.constants), k, part.spec)
         for k, part in enumerate(built.assembly.actuation.parts)
-        if hasattr(part.spec, "gauge") and part.model.offsets is not None
+        if is_chamber(part.spec) and part.model.offsets is not None
     }

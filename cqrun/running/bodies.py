@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from cqrun.actuators.chamber import is_chamber
 from cqrun.build.actuation import Part
 from cqrun.build.check_routes import tied
 from cqrun.build.limits import rounded_away
@@ -49,7 +50,7 @@ def rounding_of(built: Built) -> str:
 
 def on_particles(built: Built, part: Part) -> str:
     """Return what an actuator or a force acts on, and how far the points of its route are from there, as text."""
-    if hasattr(part.spec, "gauge"):
+    if is_chamber(part.spec):
         volume = part.spec.rest_size(part.model.at_rest(built.particles.x), part.model.constants)
         facets = len(part.spec.facets(part.model.constants))
         return f"{number(volume)} m^{built.model.dim} of '{part.spec.body}', in walls of {facets:,} facets"

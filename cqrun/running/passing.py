@@ -1,9 +1,10 @@
 """Bodies that pass through each other, through themselves, into an obstacle or out of the world, seen afterwards.
 
 Contact of the reference frame pushes surfaces apart, but a body that is carried or thrown fast enough gets through, and
-a body never meets itself. So particles are looked at now and then: is one of them inside other matter? The test pulls
-it back to the rest shape of its nearest neighbour j of the other matter, X_j + F_j^-1 (x_i - x_j). There it counts if
-it is near j, and j is not at a surface. In the updated frame, bodies share a grid and cannot pass.
+a body never meets itself, nor do the walls of its chambers. So particles are looked at now and then: is one of them
+inside other matter? The test pulls it back to the rest shape of its nearest neighbour j of the other matter,
+X_j + F_j^-1 (x_i - x_j). There it counts if it is near j, and j is not at a surface. In the updated frame, bodies share
+a grid and cannot pass.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cqrun.actuators.chamber import is_chamber
 from cqrun.build.model import Built
 from cqrun.build.regions import boundary
-from cqrun.build.surfaces import surface_of
+from cqrun.build.surfaces import skin_of, surface_of
 from cqrun.plugin.contract import Array
 from cqrun.state import State
 
@@ -32,6 +34,12 @@ UNDER = 0.6
 
 NEAR = 0.6
 """Distance from such a particle at which another lies in the same place [spacings]."""
+
+TOUCH = 0.25
+"""Distance of two points of a surface from which they touch, if they are `FAR_ON_SURFACE` apart at rest [cells]."""
+
+FAR_ON_SURFACE = 1.0
+"""Walls are thin, and gaps between them narrow [cells]."""
 
 FAR = 4.0
 """Distance at rest from which parts of one body count as different matter [cells]."""
@@ -56,7 +64,12 @@ class Passing:
         """Look at a state, which `when` names in findings."""
         if self.built.model.frame != "reference" or not np.isfinite(state.x).all():
             return
-        for key, count in (*self._outside(state.x), *self._in_obstacles(state.x), *self._overlaps(state)):
+        for key, count in (
+            *self._outside(state.x),
+            *self._in_obstacles(state.x),
+            *self._overlaps(state),
+            *self._walls(state),
+        ):
             self.seen.setdefault(key, (when, count))
 
     def findings(self) -> Iterator[str]:
@@ -73,6 +86,12 @@ class Passing:
                     f"'{names[0]}' is inside the obstacle `{names[1]}` from {where}: it was pressed or thrown through "
                     "its surface, and what follows is not physical; move it less or more slowly, or use smaller "
                     "substeps or a stiffer material"
+                )
+            elif kind == "walls":
+                yield (
+                    f"walls of '{names[0]}' touch at {when} ({count} points of its surface): in the reference frame "
+                    "they pass through each other, and what follows is not physical; use less pressure, a stiffer "
+                    "material or a wider gap"
                 )
             elif kind == "bodies":
                 yield (
@@ -136,6 +155,18 @@ class Passing:
         apart = np.linalg.norm(X[pairs[:, 0]] - X[pairs[:, 1]], axis=1) > FAR * dx
         pairs = pairs[apart | (self.body[pairs[:, 0]] != self.body[pairs[:, 1]])]
         return np.concatenate([pairs[:, 0], pairs[:, 1]]), np.concatenate([pairs[:, 1], pairs[:, 0]])
+
+    def _walls(self, state: State) -> Iterator[tuple[tuple[str, ...], int]]:
+        """Yield bodies with chambers of which points of the surface touch others that are apart at rest."""
+        dx, particles = self.built.model.dx, self.built.particles
+        for name in {part.spec.body: None for part in self.built.assembly.actuation.parts if is_chamber(part.spec)}:
+            skin = skin_of(self.built.scene, particles, name)
+            offset = skin.x - particles.x[skin.particle]
+            x = state.x[skin.particle] + np.einsum("sij,sj->si", state.F[skin.particle], offset)
+            i, j = cKDTree(x).query_pairs(TOUCH * dx, output_type="ndarray").T
+            apart = np.linalg.norm(skin.x[i] - skin.x[j], axis=1) > FAR_ON_SURFACE * dx
+            if apart.any():
+                yield ("walls", name), len(np.unique([i[apart], j[apart]]))
 
     def _depths(self) -> Array:
         """Return how far the particles are under the surfaces of their bodies at rest (N,) [m]; they are found once."""

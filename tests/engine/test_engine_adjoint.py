@@ -58,6 +58,8 @@ def test_every_kind_of_actuator_is_in_the_rich_scene():
     example = {"body": "b", "axis": [1, 0], "strength": 1, "max_pressure": 1, "stiffness": 1, "route": [[0, 0], [1, 1]],
                "direction": [1, 0], "acceleration": 1}  # fmt: skip
     for name, kind in plugins("actuator").items():
+        if kind.frame == "reference":  # this scene is of the other frame; tests/actuators/test_chambers.py
+            continue
         given = {key: value for key, value in example.items() if key in kind.model_fields}
         assert kind.model_validate(given).kernel in kernels, name
     assert Cable(body="b", route=[[0.0, 0.0], [1.0, 1.0]], tension=1.0).kernel in kernels
