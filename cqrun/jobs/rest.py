@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.actuators.chamber import is_chamber
 from cqrun.build.check_frame import TOO_COARSE, touched
 from cqrun.build.check_holds import unheld_problems
 from cqrun.build.history import remembering
@@ -27,6 +28,7 @@ from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.newton import Rest
 from cqrun.engine.statics.path import Point, RestPath
 from cqrun.errors import Problem, SceneError, StopAsked
+from cqrun.explain import listed
 from cqrun.jobs.job import NO_FILES, Job
 from cqrun.running.bodies import report_bodies, resolved_lines
 from cqrun.running.extra_fields import ExtraFields
@@ -135,7 +137,8 @@ class RestJob(Job[Resting, RestResult]):
     ) -> None:  # fmt: skip
         """Write the result."""
         lost = None if found[-1].converged else len(found)
-        message = f"{len(found)} point{'s' if len(found) > 1 else ''} at rest" if lost is None else _lost(found)
+        all_found = f"{len(found)} point{'s' if len(found) > 1 else ''} at rest"
+        message = all_found if lost is None else _lost(found) + _burst(built)
         status = "done" if lost is None else "failed"
         for sentence in findings:
             talk.warn(sentence)
@@ -263,6 +266,21 @@ def _lost(found: list[RestPoint]) -> str:
         f"no equilibrium was found at point {len(found)} ({where}); {part} was covered: the body may buckle or collapse"
         " there (a limit point), or the load is too large for its material; smaller steps of `path` show where"
     )
+
+
+def _burst(built: Built) -> str:
+    """Return what a chamber under a given pressure may have to do with it."""
+    names = [f"'{part.model.name}'" for part in built.assembly.actuation.parts if _is_regulated(part.spec)]
+    if not names:
+        return ""
+    return (
+        f"; or the chamber {listed(names)} bursts: its walls hold no larger pressure, as a balloon's beyond its limit "
+        "point; with `gas` or `liquid` in place of `pressure`, `path` goes on beyond it"
+    )
+
+
+def _is_regulated(spec: Any) -> bool:
+    return is_chamber(spec) and spec.pressure is not None
 
 
 def _findings(found: list[RestPoint], unloaded: float) -> Iterator[str]:
