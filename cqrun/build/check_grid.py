@@ -17,8 +17,9 @@ from cqrun.build.check_clamps import clamp_warnings
 from cqrun.build.check_gaps import TOO_CLOSE
 from cqrun.build.check_holds import hold_warnings
 from cqrun.build.check_moves import moving_warnings
+from cqrun.build.check_obstacles import obstacle_warnings
 from cqrun.build.particles import Particles
-from cqrun.build.raster import THIN, Raster, across, depth, neck, thinner
+from cqrun.build.raster import THIN, Raster, across, depth, membrane, neck, thinner
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.setting import MARGIN, grid_shape
 from cqrun.errors import Problem
@@ -46,6 +47,7 @@ def grid_warnings(
         *_starts_inside(scene, particles, conditions),
         *hold_warnings(scene, particles, conditions),
         *moving_warnings(scene, particles),
+        *obstacle_warnings(scene),
     ]
 
 
@@ -61,8 +63,8 @@ def _bodies(scene: Scene, rasters: Mapping[str, Raster]) -> Iterator[Problem]:
         depths = depth(solid)
         thin = thinner(solid, CELLS * dx / pitch, depths)
         if thin.sum() > THIN * solid.sum():
-            thickness = pitch * across(solid, depths, thin)
-            at = _place(body, corner, pitch, thin)
+            layers, cell = across(solid, depths, thin)
+            thickness, at = pitch * layers, _place(body, corner, pitch, cell)
             cells = f"{thickness / dx:.2g}"
             message = (
                 f"is {cells} {'cell' if cells == '1' else 'cells'} thick at {at}: a beam of 1 cell sags about 30 % too "
@@ -70,16 +72,23 @@ def _bodies(scene: Scene, rasters: Mapping[str, Raster]) -> Iterator[Problem]:
             )
             yield Problem(scene.where(path), path, message)
         elif (narrow := neck(solid, ROWS * dx / pitch, depths)).any():
-            at = _place(body, corner, pitch, narrow)
+            at = _place(body, corner, pitch, np.argwhere(narrow)[0])
             message = (
                 f"has a neck less than {ROWS} cells thick at {at}, which joins thicker parts: it bends too easily, and "
                 f"may break; make it {CELLS * dx:.3g} m thick, or dx smaller"
             )
             yield Problem(scene.where(path), path, message)
+        elif (wall := membrane(solid, ROWS * dx / pitch, depths)).any():
+            at = _place(body, corner, pitch, across(solid, depths, wall)[1])
+            message = (
+                f"has a wall less than {ROWS} cells thick at {at}, between a cavity and the outside or another cavity: "
+                f"it gives way too easily; make it {CELLS * dx:.3g} m thick, or dx smaller"
+            )
+            yield Problem(scene.where(path), path, message)
         border = int(np.ceil(CELLS * dx / pitch))
         gaps = thinner(~np.pad(solid, border), TOO_CLOSE * dx / pitch)
         if gaps.sum() * pitch**scene.dim > (TOO_CLOSE * dx) ** scene.dim:
-            at = _place(body, corner - border * pitch, pitch, gaps)
+            at = _place(body, corner - border * pitch, pitch, np.argwhere(gaps)[0])
             message = (
                 f"has a gap or a hole at {at} that is less than {TOO_CLOSE:g} cells wide: the material around it "
                 f"sticks together as if glued; if it should not, make it {TOO_CLOSE * dx:.3g} m wide, or dx smaller"
@@ -87,10 +96,10 @@ def _bodies(scene: Scene, rasters: Mapping[str, Raster]) -> Iterator[Problem]:
             yield Problem(scene.where(path), path, message)
 
 
-def _place(body: Body, corner: Array, pitch: float, cells: Array) -> str:
-    """Return the position in the world of the first of some cells of a raster, as text."""
+def _place(body: Body, corner: Array, pitch: float, cell: Array) -> str:
+    """Return the position in the world of a cell (D,) of a raster, as text."""
     place = body.place or Place()
-    x = corner + (np.argwhere(cells)[0] + 0.5) * pitch
+    x = corner + (cell + 0.5) * pitch
     return _point(place.to_world(x[None] / place.scale)[0])
 
 

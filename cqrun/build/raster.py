@@ -85,6 +85,23 @@ def neck(solid: Array, width: float, depths: Array | None = None) -> Array:
     return thin & (parts > ndimage.label(solid)[1])
 
 
+def membrane(solid: Array, width: float, depths: Array | None = None) -> Array:
+    """Return the cells thinner than a width that part a cavity from the outside or from another cavity; else none."""
+    thin = thinner(solid, width, depths)
+    parts, spaces = ndimage.label(np.pad(thin, 1))[0], ndimage.label(~np.pad(solid, 1))[0]
+    if spaces.max() < 2:
+        return np.zeros_like(thin)
+    beside = []  # pairs of a thin part and a space that touch
+    for axis in range(solid.ndim):
+        for one, other in ((1, -1), (-1, 1)):
+            part, space = (np.take(a, range(max(k, 0), a.shape[axis] + min(k, 0)), axis)
+                           for a, k in ((parts, one), (spaces, other)))  # fmt: skip
+            touch = (part > 0) & (space > 0)
+            beside.append(np.stack([part[touch], space[touch]], axis=1))
+    pairs = np.unique(np.concatenate(beside), axis=0)
+    return np.isin(parts, np.flatnonzero(np.bincount(pairs[:, 0]) > 1))[(slice(1, -1),) * solid.ndim]
+
+
 def depth(solid: Array) -> Array:
     """Return the distance of each cell to the nearest one outside a solid [cells]; at most (n + 1) // 2 in n layers."""
     inner = (slice(1, -1),) * solid.ndim
@@ -103,7 +120,7 @@ def thinnest(solid: Array) -> float:
         too_large = thinner(solid, middle, depths).sum() > THIN * solid.sum()
         low, high = (low, middle) if too_large else (middle, high)
         middle = (low + high) // 2
-    return min(across(solid, depths, thinner(solid, high, depths)), _narrowest(solid, depths))
+    return min(across(solid, depths, thinner(solid, high, depths))[0], _narrowest(solid, depths))
 
 
 def _narrowest(solid: Array, depths: Array) -> float:
@@ -122,16 +139,25 @@ def _narrowest(solid: Array, depths: Array) -> float:
     return np.inf
 
 
-def across(solid: Array, depths: Array, part: Array) -> float:
-    """Return the thickness of a part of a solid [cells], where it is deepest.
+def across(solid: Array, depths: Array, part: Array) -> tuple[float, Array]:
+    """Return the thickness of a part of a solid [cells], and a cell (D,) where it is that thick.
 
-    Twice the depth is one cell too many for an odd number of layers, so the run of cells along each axis counts, too.
+    It is the median in the middle of walls, because where walls meet they are deeper. Twice the depth is one cell too
+    many for an odd number of layers, so the run of cells along each axis counts, too.
     """
-    deepest = np.unravel_index(int(np.argmax(np.where(part, depths, -1.0))), solid.shape)
-    runs = []
-    for axis in range(solid.ndim):
-        line = solid[tuple(slice(None) if k == axis else deepest[k] for k in range(solid.ndim))]
-        outside = np.flatnonzero(~np.pad(line, 1))  # padded, so cell k is at k + 1
-        after = int(np.searchsorted(outside, deepest[axis] + 1))
-        runs.append(int(outside[after] - outside[after - 1]) - 1)
-    return min(2.0 * float(depths[deepest]), *map(float, runs))
+    cells = np.argwhere(part & (depths == ndimage.maximum_filter(depths, 3)))
+    if not len(cells):  # the part has its middle in a thicker one
+        cells = np.argwhere(part & (depths == np.max(depths, where=part, initial=0.0)))
+    at = tuple(cells.T)
+    thickness = np.minimum.reduce([2.0 * depths[at], *(_runs(solid, axis)[at] for axis in range(solid.ndim))])
+    middle = np.sort(thickness)[(len(cells) - 1) // 2]
+    return float(middle), cells[int(np.argmax(thickness == middle))]
+
+
+def _runs(solid: Array, axis: int) -> Array:
+    """Return how many cells of a solid lie in a row along an axis, for each of its cells."""
+    line = np.moveaxis(solid, axis, -1)
+    number = np.arange(line.shape[-1])
+    before = np.maximum.accumulate(np.where(line, -1, number), axis=-1)
+    after = np.minimum.accumulate(np.where(line, line.shape[-1], number)[..., ::-1], axis=-1)[..., ::-1]
+    return np.moveaxis(after - before - 1, -1, axis)

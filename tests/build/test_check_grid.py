@@ -119,6 +119,29 @@ def test_a_hole_that_closes():
     assert "has a gap or a hole at (0.4" in told
 
 
+@pytest.mark.parametrize(("wall", "told"), [(1.0, True), (1.5, True), (2.25, False), (3, False)])
+def test_a_thin_wall_of_a_cavity(wall, told):
+    """It is a small part of a thick body, in which two cavities are 6 cells apart."""
+    block, width = box([0.2, 0.2], [0.6, 0.6]), wall * DX
+    holes = [box([0.3, 0.8 - width - 0.08], [0.16, 0.08]), box([0.58, 0.4], [0.1, 0.1])]
+    found = warnings(shape={"difference": [block, *holes]})
+    assert ["has a wall less than 2 cells thick at (0.3" in text for text in found] == [True] * told
+    assert all("make it 0.06 m thick" in text for text in found)
+    beside = [box([0.3, 0.4], [0.16, 0.08]), box([0.46 + width, 0.4], [0.1, 0.1])]
+    found = warnings(shape={"difference": [block, *beside]})
+    assert ["has a wall less than 2 cells thick at (0.4" in text for text in found] == [True] * told
+
+
+def test_the_walls_of_a_hollow_body_are_as_thick_as_they_are():
+    """Where walls meet they are deeper, and their corners do not count."""
+    for cells in (1, 2):
+        rooms = [box([0.2 + cells * DX + k * (0.16 + cells * DX), 0.3 + cells * DX], [0.16, 0.2]) for k in range(3)]
+        outer = box([0.2, 0.3], [3 * 0.16 + 4 * cells * DX, 0.2 + 2 * cells * DX])
+        (message,) = warnings(shape={"difference": [outer, *rooms]})
+        assert f"is {cells} cell{'s' * (cells > 1)} thick at (0.2" in message
+        assert f"set dx to {cells * DX / 3:.3g} m" in message
+
+
 def test_a_clamp_that_misses_its_body():
     (message,) = warnings(shelf("sticky", [0.3, 0.2], [0.4, 0.39]))
     assert message == (

@@ -10,7 +10,9 @@ import pytest
 from pydantic import ValidationError
 
 from cqrun.build.assembly import Assembly
+from cqrun.build.model import build
 from cqrun.build.particles import sample
+from cqrun.errors import SceneError
 from cqrun.geometry.cone import Cone
 from cqrun.geometry.lattice import Lattice
 from cqrun.geometry.sweep import Sweep
@@ -126,3 +128,20 @@ def test_its_numbers_are_no_unknowns_but_its_place_is() -> None:
     assert "bodies.a.shape.transformed.angle" in paths
     assert not [path for path in paths if ".sweep." in path]
     assert len(Assembly(scene, sample(scene)).inputs({}).state.x) > 100
+
+
+def test_bodies_of_the_reference_frame_cannot_touch_it() -> None:
+    material = {"density": 900.0, "elastic": {"neo_hookean": {"youngs_modulus": 1.0e4, "poissons_ratio": 0.3}}}
+    body = {"shape": {"box": {"corner": [0.1, 0.2], "size": [0.05, 0.05]}}, "spacing": 0.005, "material": material}
+    region = {"sweep": {"points": [[0.1, 0.1], [0.2, 0.1]], "radii": [0.02]}}
+    with pytest.raises(SceneError) as info:
+        build(load_scene({
+            "cqrun": 1, "world": {"size": [0.3, 0.3], "dx": 0.01, "frame": "reference"}, "bodies": {"a": body},
+            "boundaries": {"rail": {"friction": {"region": region, "coefficient": 0.3}}},
+            "time": {"duration": 0.01, "control_step": 0.01},
+        }))  # fmt: skip
+    (problem,) = info.value.problems
+    assert problem.path == "boundaries.rail.friction.region"
+    assert problem.message.startswith(
+        "the distance from the surface of 'sweep' is not known, so bodies of the reference "
+    )
