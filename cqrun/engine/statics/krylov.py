@@ -1,8 +1,12 @@
-"""Conjugate gradients with a preconditioner, for a symmetric matrix that may turn out to be indefinite.
+"""Solvers of linear systems with a preconditioner: conjugate gradients, and GMRES for matrices that are not symmetric.
 
-The steps of the method contain a tridiagonal matrix (Lanczos) whose smallest eigenvalue approaches that of the
+The steps of conjugate gradients contain a tridiagonal matrix (Lanczos) whose smallest eigenvalue approaches that of the
 preconditioned matrix: how near a body is to a limit point (Y. Saad, Iterative Methods for Sparse Linear Systems,
-section 6.7.3).
+section 6.7.3). The matrix may turn out to be indefinite.
+
+GMRES knows nothing of eigenvalues. It is restarted, and preconditioned from the right, so that its residual is the true
+one (section 9.3.2). Forces whose tangent is not symmetric act on few points, so it needs little more products than
+conjugate gradients would.
 """
 
 from __future__ import annotations
@@ -17,15 +21,19 @@ from cqrun.plugin.contract import Array
 
 Linear = Callable[[Array], Array]
 
+RESTART = 60
+"""Products after which GMRES starts again: it keeps a vector for each."""
+
 
 class Solution(NamedTuple):
-    """What conjugate gradients found.
+    """What a solver found.
 
     Attributes:
         x: the approximate solution.
         iterations: number of products.
         negative: whether a direction of negative curvature ended the search; x is then the answer so far.
-        smallest: smallest eigenvalue of the preconditioned matrix that was seen; NaN after less than 2 steps.
+        smallest: smallest eigenvalue of the preconditioned matrix that was seen; NaN after less than 2 steps, and from
+            GMRES.
         converged: whether the residual is small enough.
     """
 
@@ -65,6 +73,47 @@ def conjugate_gradients(product: Linear, b: Array, precondition: Linear, relativ
         betas.append(rz / before)
         p = z + betas[-1] * p
     return Solution(x, most, False, _smallest(alphas, betas), False)
+
+
+def minimal_residuals(product: Linear, b: Array, precondition: Linear, relative: float, most: int) -> Solution:
+    """Solve product(x) = b, whose matrix need not be symmetric, as `conjugate_gradients` does; by GMRES."""
+    x, r, count = np.zeros_like(b), b.copy(), 0
+    size = np.sqrt(dot(b, b))
+    goal = relative * size
+    while size > goal and count < most:
+        change, steps = _cycle(product, r, size, precondition, goal, min(RESTART, most - count))
+        x += precondition(change)
+        r, before = b - product(x), size
+        size, count = np.sqrt(dot(r, r)), count + steps + 1
+        if not size < before:
+            break
+    return Solution(x, count, False, float("nan"), bool(size <= goal))
+
+
+def _cycle(
+    product: Linear, r: Array, size: float, precondition: Linear, goal: float, most: int
+) -> tuple[Array, int]:  # fmt: skip
+    """Return y that makes |r - product(precondition(y))| least in the space of `most` products, and their number.
+
+    It ends early where the residual is small enough. Vectors are made orthogonal twice, which keeps them so to
+    rounding; sums by einsum have the same order for any number of threads.
+    """
+    V, H = np.zeros((most + 1, r.size)), np.zeros((most + 1, most))
+    V[0] = r.ravel() / size
+    for k in range(most):
+        w = product(precondition(V[k].reshape(r.shape))).ravel().copy()
+        for _ in range(2):
+            parts = np.einsum("kn,n->k", V[: k + 1], w)
+            w -= np.einsum("k,kn->n", parts, V[: k + 1])
+            H[: k + 1, k] += parts
+        H[k + 1, k] = np.sqrt(dot(w, w))
+        start = np.append(size, np.zeros(k + 1))
+        y, *_ = np.linalg.lstsq(H[: k + 2, : k + 1], start, rcond=None)
+        left = float(np.linalg.norm(start - H[: k + 2, : k + 1] @ y))
+        if left <= goal or H[k + 1, k] == 0.0:
+            break
+        V[k + 1] = w / H[k + 1, k]
+    return np.einsum("k,kn->n", y, V[: k + 1]).reshape(r.shape), k + 1
 
 
 def _smallest(alphas: list[float], betas: list[float]) -> float:

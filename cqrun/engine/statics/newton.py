@@ -1,4 +1,4 @@
-"""Newton's method for equilibrium, with steps found by conjugate gradients and shortened by the slope along them.
+"""Newton's method for equilibrium, with steps found by a Krylov method and shortened by the slope along them.
 
 Energies are useless for the length of a step near the answer, where their differences are rounding; the slope
 r(u + a p) . p is not. A step may pass the point at which the slope vanishes by half of the slope that it began with.
@@ -7,12 +7,13 @@ Near the answer a whole step is also taken if the residual falls by a tenth.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from cqrun.engine.statics.krylov import conjugate_gradients, dot
+from cqrun.engine.statics.krylov import Solution, conjugate_gradients, dot
 from cqrun.plugin.contract import Array
 
 MOST_STEPS = 60
@@ -87,12 +88,15 @@ class Rest:
     rounded: bool = False
 
 
-def find_rest(system: System, u: Array, load: float, tolerance: float) -> Rest:
+def find_rest(
+    system: System, u: Array, load: float, tolerance: float, solver: Callable[..., Solution] = conjugate_gradients
+) -> Rest:
     """Return where the system rests, from a first guess u (M, 4) [m].
 
     Args:
         load: size of the loads [N], by which the residual is measured.
         tolerance: relative residual at which the search ends.
+        solver: of the linear systems; that of a symmetric matrix, or `minimal_residuals`.
     """
     r = system.net(u)
     size, eta = _size(r), LOOSEST
@@ -101,7 +105,7 @@ def find_rest(system: System, u: Array, load: float, tolerance: float) -> Rest:
     while size > tolerance * load and steps < MOST_STEPS and not stuck:
         system.linearise(u)
         eta = max(eta, min(LOOSEST, 0.3 * tolerance * load / size))
-        found = conjugate_gradients(system.product, r, system.precondition, eta, MOST_PRODUCTS)
+        found = solver(system.product, r, system.precondition, eta, MOST_PRODUCTS)
         steps, products = steps + 1, products + found.iterations
         negative = found.negative
         smallest = found.smallest if np.isfinite(found.smallest) else smallest
