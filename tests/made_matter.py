@@ -97,7 +97,7 @@ def made_parts(dim: int) -> list[ActuatorPart]:
         ActuatorPart(name, name, k % N_ACTUATORS, law, on, law.constants(x), slice(4 * (k % 3), 4 * (k % 3) + 4))
         for k, (name, law) in enumerate(laws.items())
     ]
-    more = {name: made_routes(dim)[name] for name in ("cable", "weight")}
+    more = {name: made_routes(dim)[name] for name in ("cable", "weight", "tendon", "rubbed")}
     routed = [ActuatorPart(n, n, r.number, r.law, r.particles, np.zeros(0), slice(0, 0)) for n, r in more.items()]
     routed += [
         ActuatorPart(n, n, w.number, w.law, w.particles, np.zeros(0), slice(0, 0)) for n, w in made_walls(dim).items()
@@ -106,14 +106,25 @@ def made_parts(dim: int) -> list[ActuatorPart]:
 
 
 def made_routes(dim: int) -> dict[str, Route]:
-    """Return a cable whose length is set, one whose force is set, and a spring, along particles of the arm."""
+    """Return a cable whose length is set, one whose force is set, and a spring, along particles of the arm.
+
+    Then tendons with friction, of both laws, which run beside the particles and end at a point of the world.
+    """
     line = [[0.2] * dim, [0.5] * dim]
     cable, weight = Cable(body="arm", route=line, stiffness=2.0), Cable(body="arm", route=line, tension=2.0)
     spring = Spring(body="arm", route=line, stiffness=2.0)
     along = np.array([0, 3, 5, 1])
+    tendon = Cable(body="arm", route=line, stiffness=2.0, friction=0.3)
+    rubbed = Cable(body="arm", route=line, tension=2.0, friction=0.3)
+    beside = np.full((5, dim), 0.7)  # large steps to either side, far from the kink of a straight route
+    beside[:4] = 0.1
+    beside[:4, 0] = 0.6, -0.6, 0.6, -0.6
+    to_world = np.append(along, -1)
     return {
         "cable": Route(along, 1, cable, activated=True), "weight": Route(along[:2], 2, weight, activated=True),
         "spring": Route(along[1:], N_ACTUATORS, spring, activated=False),
+        "tendon": Route(to_world, 1, tendon, activated=True, offsets=beside, begin=0.1, turn=0.8),
+        "rubbed": Route(to_world, 2, rubbed, activated=True, offsets=beside),
     }  # fmt: skip
 
 

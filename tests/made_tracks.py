@@ -10,7 +10,8 @@ from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, N_WEIGHTS, made_m
 
 from cqrun.observers.track import Track, TrackBar
 
-FIELDS = ("x", "v", "C", "F", "activation", "design", "held", "strength", "rest_length", "terms", "weights", "rest")
+FIELDS = ("x", "v", "C", "F", "activation", "design", "held", "strength", "rest_length", "terms", "weights", "rest",
+          "friction")  # fmt: skip
 
 
 def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
@@ -27,7 +28,7 @@ def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
     ]
     return Track(
         *motion, activation, goals, CONTROL_STEP, 2.0 + 0.1 * design, a_reaction(dim, rng), strength, rest, terms,
-        0.5 + rng.uniform(size=N_WEIGHTS), made_matter(dim).x,
+        0.5 + rng.uniform(size=N_WEIGHTS), made_matter(dim).x, np.linspace(0.2, 0.5, N_ACTUATORS + 1),
     )  # fmt: skip
 
 
@@ -38,7 +39,7 @@ def a_reaction(dim: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 def adjoint_error(value: Any, value_vjp: Any, track: Track, rng: np.random.Generator) -> float:
     """Return the relative error of bar (J d) = (J^T bar) . d."""
-    directions: dict[str, Any] = {name: random_like(getattr(track, name), rng) for name in FIELDS}
+    directions = random_directions(track, rng)
     tilted = replace(track, **{name: moved(getattr(track, name), directions[name]) for name in FIELDS})
     bar = rng.normal()
     found = value_vjp(track, bar)
@@ -55,6 +56,12 @@ def products_of(bar: TrackBar, directions: dict[str, Any]) -> list[np.ndarray]:
     for group, along in zip(bar.terms or [], directions["terms"], strict=False):
         parts += [part * direction for part, direction in zip(group, along, strict=True)]
     return parts
+
+
+def random_directions(track: Track, rng: np.random.Generator) -> dict[str, Any]:
+    """Return random numbers in the form of each of a track's fields; those of friction have a source of their own."""
+    own = {"friction": rng.spawn(1)[0]}
+    return {name: random_like(getattr(track, name), own.get(name, rng)) for name in FIELDS}
 
 
 def random_like(value: Any, rng: np.random.Generator) -> Any:

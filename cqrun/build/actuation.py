@@ -15,11 +15,14 @@ from typing import Any
 import numpy as np
 
 from cqrun.actuators.actuator import within_limits
+from cqrun.build.hosts import host_of
 from cqrun.build.particles import Particles
 from cqrun.build.surfaces import skin_of
 from cqrun.build.values import Values
-from cqrun.engine.model import ActuatorModel
+from cqrun.engine.model import ActuatorModel, riding_at
 from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.forces.force import Riding
+from cqrun.forces.routed import Routed
 from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Array, Plugin
 from cqrun.scene.activation import Activation
@@ -28,13 +31,17 @@ from cqrun.scene.schema import Scene
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an actuator, or of a force without an activation; `path` is the key path of the whole actuator."""
+    """A part of an actuator, or of a force without an activation; `path` is the key path of the whole actuator.
+
+    `exact` says whether it acts on points that ride on particles, and not on the particles themselves.
+    """
 
     name: str
     actuator: str
     path: str
     spec: Any
     model: ActuatorModel
+    exact: bool = False
 
 
 class Actuation:
@@ -70,19 +77,27 @@ class Actuation:
             path = f"{section}.{name}.{chosen.name}"
             for part in spec.parts():
                 try:
-                    riding = spec.riding(part, lambda body=spec.body: skin_of(scene, self.particles, body))
+                    riding = self._riding(spec, part)
                     indices = spec.particles(part, x, self.particles.inside) if riding is None else riding.particle
                 except UsageError as error:
                     raise SceneError([Problem(scene.where(path), path, str(error))]) from None
-                problem = spec.problem(x[indices], scene.world.dx) if len(indices) else None
+                problem = spec.problem(x[indices], scene.world.dx) if len(indices) and riding is None else None
                 if problem or not len(indices):
                     raise SceneError([Problem(scene.where(path), path, problem or "holds no particle")])
                 full = f"{name}.{part}" if part else name
                 model = (
                     ActuatorModel(full, spec.kernel, indices, spec.constants(x[indices])) if riding is None else
-                    ActuatorModel(full, spec.kernel, indices, riding.constants, riding.x - x[indices])
+                    ActuatorModel(full, spec.kernel, indices, riding.constants, riding.x - riding_at(x, indices))
                 )  # fmt: skip
-                yield Part(full, name, path, spec, model)
+                exact = riding is not None and scene.world.frame == "reference"
+                yield Part(full, name, path, spec, model, exact)
+
+    def _riding(self, spec: Any, part: str) -> Riding | None:
+        """Return the points that a part acts on; None if it acts on particles."""
+        if isinstance(spec, Routed):
+            return spec.along(host_of(self.scene, self.particles, spec.body))  # type: ignore[attr-defined]
+        found: Riding | None = spec.riding(part, lambda: skin_of(self.scene, self.particles, spec.body))
+        return found
 
     @property
     def every(self) -> tuple[Part, ...]:
@@ -105,6 +120,16 @@ class Actuation:
     def _scale(part: Part) -> str:
         return f"{part.path}.{part.spec.scale}"
 
+    def frictions(self, values: Values) -> Array:
+        """Return the coefficient of friction of `every` part; 0 for one that has none."""
+        return np.array([float(values.get(f"{p.path}.friction", _friction(p.spec))) for p in self.every])
+
+    def frictions_vjp(self, friction_bar: Array, out: dict[str, Array]) -> None:
+        """Add to the gradients of the coefficients that are wanted."""
+        for part, bar in zip(self.every, friction_bar, strict=True):
+            if f"{part.path}.friction" in out:
+                out[f"{part.path}.friction"] += bar
+
     # --- lengths at rest ------------------------------------------------------------------------------------------
 
     def rest_lengths(self, x: Array) -> Array:
@@ -116,7 +141,8 @@ class Actuation:
         x_bar = np.zeros(x.shape)
         for part, bar in zip(self.every, rest_bar, strict=True):
             found = part.spec.rest_size_vjp(part.model.at_rest(x), part.model.constants, float(bar))
-            np.add.at(x_bar, part.model.particles, found)
+            rides = part.model.particles >= 0
+            np.add.at(x_bar, part.model.particles[rides], found[rides])
         return x_bar
 
     # --- weights --------------------------------------------------------------------------------------------------
@@ -245,6 +271,11 @@ class Actuation:
         for part, size in zip(self.parts, sizes, strict=True):
             out[part.model.particles] += size * part.spec.wave_modulus() * self._weights_of(part, values)
         return out
+
+
+def _friction(spec: Any) -> float:
+    """Return the coefficient of friction in a scene; 0 if there is none."""
+    return getattr(spec, "friction", None) or 0.0
 
 
 def weights(n_controls: int, n_knots: int, interpolate: str, span: float) -> Array:

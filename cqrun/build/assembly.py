@@ -135,7 +135,7 @@ class Assembly:
         return Inputs(
             state, fields, self._terms(values), drive.activations(self.sequence, values), drive.strengths(values),
             self._coefficients(values), drive.weights(values), drive.rest_lengths(x), self._moves(values),
-            self.geometry.surface_at_rest(values), self.geometry.changes(values),
+            self.geometry.surface_at_rest(values), drive.frictions(values), self.geometry.changes(values),
         )  # fmt: skip
 
     def gradient(self, values: Values, bar: Inputs) -> dict[str, Array]:
@@ -148,6 +148,7 @@ class Assembly:
         self._terms_vjp(values, bar, out)
         self.actuation.activations_vjp(bar.activation, self.sequence, values, out)
         self.actuation.strengths_vjp(bar.strength, out)
+        self.actuation.frictions_vjp(bar.friction, out)
         self.actuation.weights_vjp(bar.weights, out)
         self._coefficients_vjp(values, bar, out)
         self._moves_vjp(bar, out)
@@ -261,6 +262,8 @@ class Assembly:
             bar.strength += beside.strength
         if beside.rest_length is not None:
             bar.rest += beside.rest_length
+        if beside.friction is not None:
+            bar.friction += beside.friction
         if beside.weights is not None:
             bar.weights += beside.weights
         if beside.rest is not None:

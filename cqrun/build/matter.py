@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from cqrun.actuators.chamber import is_chamber
+from cqrun.actuators.tendon import Line
 from cqrun.build.model import Built
 from cqrun.engine.reference.corners import hat_slopes, hats
 from cqrun.engine.reference.rest import rest_geometry
@@ -78,13 +79,21 @@ def _parts(built: Built) -> tuple[ActuatorPart, ...]:
 
 def _routes(built: Built) -> dict[str, Route]:
     """Return the cables and springs of a scene, by name."""
-    parts = built.assembly.actuation.every
-    activated = len(built.assembly.actuation.parts)
-    return {
-        part.name: Route(part.model.particles, k, part.spec, k < activated)
-        for k, part in enumerate(parts)
-        if hasattr(part.spec, "pull")
-    }
+    routes, activated = {}, len(built.assembly.actuation.parts)
+    for k, part in enumerate(built.assembly.actuation.every):
+        if not hasattr(part.spec, "pull"):
+            continue
+        model, count = part.model, len(part.model.particles)
+        lines = part.spec.lines(model.constants, count) if hasattr(part.spec, "lines") else [Line(count, 0.0, 1.0)]
+        begin, x = 0, model.at_rest(built.particles.x)
+        for number, line in enumerate(lines):
+            own, begin = slice(begin, begin + line.points), begin + line.points
+            offsets = model.offsets[own] if part.exact and model.offsets is not None else None
+            name = f"{part.name}.{number}" if number else part.name
+            routes[name] = Route(
+                model.particles[own], k, part.spec, k < activated, offsets, x[own], line.begin, line.turn
+            )  # fmt: skip
+    return routes
 
 
 def _walls(built: Built) -> dict[str, Wall]:

@@ -16,7 +16,7 @@ from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_frame import frame_problems
 from cqrun.build.check_grid import grid_warnings
 from cqrun.build.check_material import material_warnings, relaxation_problems
-from cqrun.build.check_routes import route_warnings
+from cqrun.build.check_routes import route_warnings, spool_problems
 from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.conditions import all_conditions
 from cqrun.build.contact import contact_limits, contact_parts
@@ -80,7 +80,7 @@ def build(scene: Scene) -> Built:
         SceneError: bodies or regions are not valid, the substep is too large, or there is too little memory.
     """
     particles = sample(scene)
-    if problems := design_problems(scene, particles):
+    if problems := [*design_problems(scene, particles), *spool_problems(scene)]:
         raise SceneError(problems)
     assembly = Assembly(scene, particles)
     limits = _possible(scene, _stiffest(scene, particles, assembly))

@@ -149,6 +149,8 @@ class BackwardRun(ABC):
         bar.strength[:], bar.coefficients[:] = levels.strength, self.coefficient_bar
         if len(bar.rest):
             bar.rest[:] = levels.rest
+        if len(bar.friction):
+            bar.friction[:] = levels.friction
         for kind in self.drive_bar.stresses if len(bar.weights) else ():
             for k, a in enumerate(kind.actuators):
                 bar.weights[r.model.weight_slices[a]] = kind.weight[kind.start[k] : kind.start[k + 1]]

@@ -52,7 +52,8 @@ class ActuatorModel:
 
     `kernel` is the class of its kind, `constants` are those of `Actuator.constants`. Particles are in user order; those
     of a cable are in the order of its route. In the reference frame a force acts on points that ride on the particles,
-    at `offsets` (n, D) from them at rest [m]; without offsets these are the particles themselves.
+    at `offsets` (n, D) from them at rest [m]; without offsets these are the particles themselves. A point whose
+    particle is -1 is fixed in the world, and its offset is its place.
     """
 
     name: str
@@ -61,9 +62,19 @@ class ActuatorModel:
     constants: Array
     offsets: Array | None = None
 
+    @property
+    def carriers(self) -> Array:
+        """The particles that its points ride on, without points that are fixed in the world."""
+        return self.particles[self.particles >= 0]
+
     def at_rest(self, x: Array) -> Array:
         """Return its points at rest (n, D) [m] where particles rest at x (N, D)."""
-        return x[self.particles] if self.offsets is None else x[self.particles] + self.offsets
+        return x[self.particles] if self.offsets is None else riding_at(x, self.particles) + self.offsets
+
+
+def riding_at(x: Array, particle: Array) -> Array:
+    """Return the particles' positions (n, D) that points count from; 0 for those fixed in the world (particle -1)."""
+    return np.where(particle[:, None] < 0, 0.0, x[particle])
 
 
 @dataclass(frozen=True)
@@ -198,6 +209,8 @@ class Model:
     def force_points(self) -> tuple[Array, Array, dict[int, Array]]:
         """Return the points of all forces on points: their particles (P,), and their offsets from them (P, D) [m].
 
+        A point that is fixed in the world has the particle -1, and its place as offset.
+
         Then, by the number of a part, which of the points are its own.
         """
         chosen = [k for k, part in enumerate(self.parts) if is_force(part.kernel)]
@@ -238,7 +251,8 @@ class Model:
         always_on = np.ones((len(inputs.activation), len(self.forces)))
         activation = np.concatenate([np.asarray(inputs.activation, np.float64), always_on], axis=1)
         rest = np.array(rest, np.float64) if len(rest) else np.zeros(len(parts))
-        levels = Levels(activation, np.array(inputs.strength, np.float64), rest)
+        friction = np.array(inputs.friction, np.float64) if len(inputs.friction) else np.zeros(len(parts))
+        levels = Levels(activation, np.array(inputs.strength, np.float64), rest, friction)
         kernels, all_shares = make_forces([Kind(kind, *of(kind)) for kind in forces], self.dim)
         return Drive(
             levels, tuple(stress(kind) for kind in stresses), tuple(make_steady(kind, *of(kind)) for kind in steady),
@@ -264,6 +278,7 @@ class Inputs:
     rest: Array = field(default_factory=lambda: np.zeros(0))  # length at rest of each part [m]; all 0 if empty
     moves: Array = field(default_factory=lambda: np.zeros(0))  # (planes, D + 1 or 6) displacement and rotation
     surface: Array = field(default_factory=lambda: np.zeros(0))  # points at rest (S, D) [m]; the model's if empty
+    friction: Array = field(default_factory=lambda: np.zeros(0))  # coefficient of each part [1]; all 0 if empty
     shaped: bool = False  # whether gradients by the rest positions are wanted, in the reference frame
 
     @classmethod
@@ -278,6 +293,7 @@ class Inputs:
             other.rest,
             other.moves,
             other.surface,
+            other.friction,
         )
         fields = ParticleFields.zeros(*other.state.x.shape)
         return cls(other.state.zeros_like(), fields, terms, *map(np.zeros_like, numbers))

@@ -46,7 +46,7 @@ def driver_at(model: Model, particle: int, J: float, activation: Array) -> str:
         activation: of each actuator (A,).
     """
     for k, actuator in enumerate(model.actuators):
-        drives = activation[k] != 0.0 and len(actuator.particles) >= FEWEST and particle in actuator.particles
+        drives = activation[k] != 0.0 and len(actuator.particles) >= FEWEST and particle in actuator.carriers
         if drives and not 1.0 / EXTREME <= J <= EXTREME:
             return _told(model, actuator, float(activation[k]), J > 1.0, J)
     return ""
@@ -63,7 +63,7 @@ def suspect(model: Model, state: State, activation: Array) -> str:
     with np.errstate(all="ignore"):
         J = np.linalg.det(state.F)
     for k, actuator in enumerate(model.actuators):
-        own = J[actuator.particles]
+        own = J[actuator.carriers]
         own = own[np.isfinite(own)]
         if activation[k] == 0.0 or len(own) < FEWEST:
             continue
@@ -85,7 +85,7 @@ def _told(model: Model, actuator: ActuatorModel, activation: float, swells: bool
 
 def _driven(model: Model, actuator: ActuatorModel) -> str:
     """Return what an actuator drives: a whole body, a group, or some of its particles."""
-    members = np.sort(actuator.particles)
+    members = np.sort(actuator.carriers)
     slices = zip(model.body_names, model.layout.slices(), strict=True)
     body, part = next((name, part) for name, part in slices if members[0] < part.stop)
     if len(members) == part.stop - part.start:

@@ -161,7 +161,13 @@ def cables(run: RunData, frames: Frames) -> list[Array]:
     if not any(isinstance(chosen.value, Cable) for chosen in run.scene.actuators.values()):
         return []
     actuation = Assembly(run.scene, sampled(run, frames)).actuation
-    return [part.model.particles for part in actuation.parts if isinstance(part.spec, Cable)]
+    routes = []
+    for part in actuation.parts:
+        if isinstance(part.spec, Cable):
+            lines = part.spec.lines(part.model.constants, len(part.model.particles))
+            ends = np.cumsum([line.points for line in lines])[:-1]
+            routes += [route[route >= 0] for route in np.split(part.model.particles, ends)]
+    return routes
 
 
 def _extent(frames: Frames, shown: Sequence[int], look: View, trails: Trails) -> Array:

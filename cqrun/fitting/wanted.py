@@ -48,10 +48,8 @@ def _no_distances(scene: Scene, terms: Mapping[str, Any], track: Track, objectiv
     """Yield problems of terms whose smallest value is not 0, or that do not depend on the motion only."""
     for name, term in terms.items():
         bar = objective.values_vjp(track, {name: 1.0})
-        if any(
-            part is not None
-            for part in (bar.activation, bar.design, bar.strength, bar.rest_length, bar.terms, bar.weights)
-        ):
+        beside = (bar.activation, bar.design, bar.strength, bar.rest_length, bar.friction, bar.terms, bar.weights)
+        if any(part is not None for part in beside):
             message = "sysid takes only terms of the motion; `cqrun control` and `cqrun codesign` also take this one"
             yield _problem(scene, name, message)
         elif term.sense < 0 or term.least != 0 or term.weight <= 0:
@@ -76,7 +74,7 @@ class Wanted(Comparison):
         parts = np.zeros(matter.n_parts)  # terms of strengths are refused
         return Track(
             x, v, C, F, nothing, self.goals, matter.control_step, matter.design, records.held, parts, parts,
-            matter.terms, rest=matter.x,
+            matter.terms, rest=matter.x, friction=parts,
         )  # fmt: skip
 
     def wanted(self) -> dict[str, Any]:

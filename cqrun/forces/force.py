@@ -10,9 +10,14 @@ selects two functions, each called for one item:
     exert(kernel, item, levels, control, q)                  writes shares.force of the item's shares
     exert_vjp(kernel, item, levels, control, q, push_bar)    writes shares.x_bar, shares.v_bar and shares.level_bar
 
+A force without a potential has a tangent that is not symmetric, so equilibria need a third one. With a potential,
+exert_vjp gives the same numbers.
+
+    exert_jvp(kernel, item, levels, control, q, move)        writes to shares.x_bar how the shares change with `move`
+
 The numbers of the item's part a = kernel.parts[item] are `levels.activation[control, a]` [1], `levels.strength[a]` in
-the force's own unit, and `levels.rest[a]` [m]. q and push_bar, the cotangent of the force on every particle, are packed
-(`state.py`, `packed.py`).
+the force's own unit, `levels.rest[a]` [m], and `levels.friction[a]` [1]. q, push_bar (the cotangent of the force on
+every particle) and move (the displacement of every particle) are packed (`state.py`, `packed.py`).
 """
 
 from __future__ import annotations
@@ -31,14 +36,16 @@ from cqrun.plugin.contract import Array, Plugin
 Inside = Callable[[str | None, Any], Array]
 """Returns the indices of the particles in a body and a region; None stands for any."""
 
-ACTIVATION, STRENGTH, REST = 0, 1, 2
+ACTIVATION, STRENGTH, REST, FRICTION = 0, 1, 2, 3
 """Columns of `Shares.level_bar`."""
 
 _EXERT = ByClass("exert", "kernel, item, levels, control, q")
 _EXERT_VJP = ByClass("exert_vjp", "kernel, item, levels, control, q, push_bar")
-exert, exert_vjp = _EXERT.call, _EXERT_VJP.call
+_EXERT_JVP = ByClass("exert_jvp", "kernel, item, levels, control, q, move")
+exert, exert_vjp, exert_jvp = _EXERT.call, _EXERT_VJP.call, _EXERT_JVP.call
 
 _RATES: set[type] = set()
+_UNSYMMETRIC: set[type] = set()
 _ITEMS: dict[type, Callable[[Array, Array], list[Array]]] = {}
 _OWN: dict[type, slice] = {}
 
@@ -51,14 +58,14 @@ class Shares(NamedTuple):
     force: Array  # (S, D) [N]
     x_bar: Array  # (S, D) the share's part of the cotangent of its particle's position
     v_bar: Array  # (S, D) the same of the velocity
-    level_bar: Array  # (I, 3) cotangents of an item's activation, strength and rest length
+    level_bar: Array  # (I, 4) cotangents of an item's activation, strength, rest length and friction
 
 
 own_symbols(Shares)
 
 
 class Levels(NamedTuple):
-    """Activation, strength and rest length of each part of an actuator or a force; or their cotangents.
+    """Activation, strength, rest length and friction of each part of an actuator or a force; or their cotangents.
 
     Forces without an activation come last; their columns of `activation` are 1.
     """
@@ -66,6 +73,7 @@ class Levels(NamedTuple):
     activation: Array  # (T, A) one row per control step [1]
     strength: Array  # (A,) in each part's own unit
     rest: Array  # (A,) length at rest [m]; of a chamber, volume at rest
+    friction: Array  # (A,) coefficient of friction [1]
 
 
 own_symbols(Levels)
@@ -176,6 +184,7 @@ class ParticleForce(Plugin):
 def register_force(
     kernel_class: type, items: Callable[[Array, Array], list[Array]], exert: Callable[..., None],
     exert_vjp: Callable[..., None], *, rate: bool = True, own: slice = slice(None),
+    exert_jvp: Callable[..., None] | None = None,
 ) -> None:  # fmt: skip
     """Register the functions of a kernel class.
 
@@ -185,16 +194,24 @@ def register_force(
         exert, exert_vjp: see the top of this file.
         rate: whether the force depends on velocities.
         own: which of a part's constants each of its items has in the kernel's view.
+        exert_jvp: of a force without a potential; see the top of this file.
     """
     _RATES.update([kernel_class] if rate else [])
+    _UNSYMMETRIC.update([] if exert_jvp is None else [kernel_class])
     _EXERT.register(kernel_class, exert)
     _EXERT_VJP.register(kernel_class, exert_vjp)
+    _EXERT_JVP.register(kernel_class, exert_jvp or exert_vjp)
     _ITEMS[kernel_class], _OWN[kernel_class] = items, own
 
 
 def needs_velocity(kernel_class: type) -> bool:
     """Return whether a force of a kernel class depends on velocities."""
     return kernel_class in _RATES
+
+
+def is_unsymmetric(kernel_class: type) -> bool:
+    """Return whether a force of a kernel class has no potential, so that its tangent is not symmetric."""
+    return kernel_class in _UNSYMMETRIC
 
 
 def is_force(kernel_class: type) -> bool:
@@ -234,7 +251,7 @@ def _shares(items: Sequence[Array], dim: int) -> Shares:
     begin = np.cumsum([0, *map(len, items)]).astype(np.int64)
     columns = np.concatenate([np.zeros(0, np.int64), *items]).astype(np.int64)
     force, x_bar, v_bar = (np.zeros((len(columns), dim)) for _ in range(3))
-    return Shares(begin, columns, force, x_bar, v_bar, np.zeros((len(items), 3)))
+    return Shares(begin, columns, force, x_bar, v_bar, np.zeros((len(items), 4)))
 
 
 def _piece(shares: Shares, first: int, last: int) -> Shares:

@@ -12,20 +12,18 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.explain import Loc
-from cqrun.forces.force import REST, STRENGTH, Inside, Levels, ParticleForce, Shares, register_force
+from cqrun.forces.force import REST, STRENGTH, Levels, ParticleForce, Shares, register_force
 from cqrun.forces.route import (
     Point,
     length_along,
-    particles_along,
     pull_along,
     pull_along_vjp,
-    route_length,
-    route_length_vjp,
     route_problem,
     route_problems,
     segments_of,
     tension_bar,
 )
+from cqrun.forces.routed import Routed
 from cqrun.numerics.compile import kernel
 from cqrun.plugin.contract import Array, quantity
 from cqrun.plugin.reference import BodyName
@@ -41,15 +39,19 @@ class SpringKernel(NamedTuple):
 
 
 @plugin("force", "spring")
-class Spring(ParticleForce):
-    """A spring along a route of particles: its force is stiffness (length - rest length).
+class Spring(Routed, ParticleForce):
+    """A spring along a route through a body: its force is stiffness (length - rest length).
 
-    It pulls if it is stretched, and pushes if it is compressed.
+    It pulls if it is stretched, and pushes if it is compressed. In the reference frame it acts at the exact points of
+    its route, which move with the material around them; in the updated frame it is tied to the nearest particle of
+    each.
     """
 
     body: BodyName = Field(description="Body that contains it")
-    route: list[Point] = quantity(
-        "m", "Points at rest, joined by straight lines; it is tied to the nearest particle of each", min_length=2
+    route: list[Point] = quantity("m", "Points at rest in the body, joined by straight lines", min_length=2)
+    free: bool = Field(
+        description="Whether its lines may leave the body between the points of the route; if not, there is a warning",
+        default=False,
     )
     stiffness: float = quantity("N/m", "Force divided by stretch", differentiable=True, ge=0)
 
@@ -60,21 +62,9 @@ class Spring(ParticleForce):
         """Return what does not fit a world of `dim` dimensions."""
         return super().dim_problems(dim) + route_problems(self.route, dim)
 
-    def particles(self, part: str, x: Array, inside: Inside) -> Array:
-        """Return the particles along the route, in order."""
-        return particles_along(self.route, None, self.body, x, inside)
-
     def problem(self, x: Array, dx: float) -> str | None:
         """Return the error in a route along particles at x (r, D) [m] with cells of dx [m], or None."""
         return route_problem(self.route, self.body, x, dx)
-
-    def rest_length(self, x: Array) -> float:
-        """Return the length [m] of a route along particles at x (r, D) [m]."""
-        return route_length(x)
-
-    def rest_length_vjp(self, x: Array, bar: float) -> Array:
-        """Return the cotangent of x (r, D)."""
-        return route_length_vjp(x, bar)
 
     def pull(self, length: Array, activation: Array, strength: float, rest: float) -> Array:
         """Return the tension [N] at each moment (T,), for the length then (T,)."""

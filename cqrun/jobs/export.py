@@ -111,7 +111,8 @@ def table(built: Built, values: Mapping[str, Array]) -> dict[str, Array]:
     for actuator, strength in built.assembly.actuation.on_particles(values):
         unit = leaf(built.scene, f"{actuator.path}.{actuator.spec.scale}").unit
         head = f"{actuator.model.name} {actuator.spec.scale} [{unit}]"
-        columns.setdefault(head, np.full(len(volume), np.nan))[actuator.model.particles] = strength
+        on = actuator.model.particles >= 0  # and not a point in the world
+        columns.setdefault(head, np.full(len(volume), np.nan))[actuator.model.particles[on]] = strength[on]
     if inputs.state.v.any():
         columns |= {f"velocity {axis} [m/s]": v for axis, v in zip("xyz", inputs.state.v.T, strict=False)}
     return columns

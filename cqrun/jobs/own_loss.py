@@ -219,6 +219,7 @@ class Recorded:
             records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at], call.rollout.activation, call.goals,
             self.problem.built.scene.time.control_step, self.problem.built.assembly.design(inputs), records.held,
             inputs.strength, inputs.rest, inputs.terms, inputs.weights, inputs.state.x,
+            inputs.friction,
         )  # fmt: skip
 
     def _bars(self, call: Call, records: Records, bars: Mapping[str, Array], beside: TrackBar) -> LossBar:

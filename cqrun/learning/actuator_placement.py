@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from cqrun.build.model import Built
+from cqrun.engine.model import ActuatorModel
 from cqrun.errors import UsageError
 from cqrun.explain import listed
+from cqrun.plugin.contract import Array
 from cqrun.scene.paths import shapes_a_body
 
 NEAR = 1e-6
@@ -24,12 +26,17 @@ def actuator_placement(built: Built) -> dict[str, Any]:
     """Return the centre of each actuator's particles relative to its body, and the bodies' places without offsets."""
     particles, x = built.particles, built.particles.x
     middles = {
-        part.name: (x[part.model.particles].mean(axis=0) - x[particles.of(part.spec.body)].mean(axis=0)).tolist()
+        part.name: (_middle(part.model, x) - x[particles.of(part.spec.body)].mean(axis=0)).tolist()
         for part in built.assembly.actuation.parts
     }
     places = {name: body.place for name, body in built.scene.bodies.items()}
     lie = {name: place and place.model_dump(mode="json", exclude={"offset"}) for name, place in places.items()}
     return {"particles": len(x), "lie": lie, "actuators": middles}
+
+
+def _middle(model: ActuatorModel, x: Array) -> Array:
+    """Return the middle of the points that a part acts on (D,) [m], without those that are fixed in the world."""
+    return np.asarray(model.at_rest(x)[model.particles >= 0].mean(axis=0))
 
 
 def require_same(path: Path, then: Mapping[str, Any], built: Built, learned: Iterable[str]) -> None:

@@ -267,6 +267,7 @@ class Agent:
             rollout.activation if activation is None else activation, goals, self.matter.control_step,
             self.built.assembly.design(rollout.inputs), records.held, rollout.inputs.strength, rollout.inputs.rest,
             rollout.inputs.terms, rollout.inputs.weights, rollout.inputs.state.x,
+            rollout.inputs.friction,
         )  # fmt: skip
 
     def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:

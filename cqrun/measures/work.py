@@ -4,6 +4,9 @@ An activation is constant in a control step, and then the forces of every actuat
 energy, a muscle's stress F S is the derivative of S : F^T F / 2. So the work in a control step is exactly what the
 potential loses in it, whatever the way between its two ends. The potential changes with the activation from one step to
 the next, which does no work on the bodies.
+
+A cable that rubs has no potential. Its work in a control step is that of the mean tension of each segment at both ends
+of the step, whose error is of the third order in the step's change.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.errors import UsageError
-from cqrun.measures.cable import RouteLength
+from cqrun.measures.cable import RouteLength, RouteShape, turned, turned_vjp
 from cqrun.measures.chamber import WallVolume
 from cqrun.measures.measure import BoundMeasure, Measure
 from cqrun.objectives.design import MASS, VOLUME
@@ -30,7 +33,8 @@ from cqrun.plugin.registry import plugin
 class Work(Measure):
     """Work [J; 2D: J/m] that an actuator has done on the bodies since the start, with all its parts.
 
-    It is exact for the motion at the control steps. It is negative where the bodies drive the actuator back.
+    It is exact for the motion at the control steps, but for a cable with friction, where it takes the mean tensions of
+    each control step. It is negative where the bodies drive the actuator back.
     """
 
     needs_time = True
@@ -42,8 +46,12 @@ class Work(Measure):
         works: list[BoundMeasure] = []
         for part in parts:
             if part.name in matter.routes:
-                route = matter.routes[part.name]
-                works.append(StoredWork(route, RouteLength(route, matter)))
+                routes = [route for route in matter.routes.values() if route.law is matter.routes[part.name].law]
+                rubs = getattr(part.law, "friction", None) is not None
+                works += [
+                    RubbedWork(route, matter) if rubs else StoredWork(route, RouteLength(route, matter))
+                    for route in routes
+                ]
             elif part.name in matter.walls:
                 wall = matter.walls[part.name]
                 works.append(StoredWork(wall, WallVolume(wall, matter)))
@@ -120,7 +128,7 @@ class StoredWork(Stepwise):
         for rows, sign in ((slice(None, -1), 1.0), (slice(1, None), -1.0)):
             by = self.of.law.stored_vjp(size[rows], *levels, sign * each)
             size_bar[rows] += by[0]
-            out.activation[:, k] += by[1]
+            out.activation[:, k] += self.of.turn * by[1]
             out.strength[k] += by[2].sum()  # type: ignore[index]
             out.rest_length[k] += by[3].sum()  # type: ignore[index]
         moved = self.size.values_vjp(track, size_bar[:, None])
@@ -129,7 +137,57 @@ class StoredWork(Stepwise):
 
     def _levels(self, track: Track) -> tuple[Array, Any, Any]:
         k = self.of.number
-        return track.activation[:, k], track.strength[k], track.rest_length[k]
+        activation = self.of.begin + self.of.turn * track.activation[:, k]
+        return activation, track.strength[k], track.rest_length[k]
+
+
+class RubbedWork(Stepwise):
+    """What the mean tension of each segment of a cable with friction does as the segment becomes shorter."""
+
+    def __init__(self, route: Route, matter: Matter) -> None:
+        self.shape, self.route = RouteShape(route, matter), route
+        self.rows = self.shape.rows
+
+    def values(self, track: Track) -> Array:
+        length, unit = self.shape.segments(track)
+        shorter, left = length[:-1] - length[1:], self._left(track, unit)
+        tensions = (self._driven(track, length, rows)[:, None] * left[rows] for rows in (slice(-1), slice(1, None)))
+        return accumulated(np.sum(0.5 * sum(tensions) * shorter, axis=1))
+
+    def values_vjp(self, track: Track, bar: Array) -> TrackBar:
+        k, (length, unit), each = self.route.number, self.shape.segments(track), accumulated_vjp(bar)[:, None]
+        shorter, left, along = length[:-1] - length[1:], self._left(track, unit), turned(unit)
+        length_bar, turned_bar = np.zeros(length.shape), np.zeros(length.shape)
+        out = TrackBar(strength=np.zeros(track.strength.shape), rest_length=np.zeros(track.rest_length.shape))
+        out.activation, out.friction = np.zeros(track.activation.shape), np.zeros(track.friction.shape)
+        for rows in (slice(-1), slice(1, None)):
+            driven = self._driven(track, length, rows)
+            pulled = 0.5 * each * driven[:, None] * left[rows]
+            length_bar[:-1] += pulled
+            length_bar[1:] -= pulled
+            turned_bar[rows] -= track.friction[k] * pulled * shorter
+            out.friction[k] -= (pulled * shorter * along[rows]).sum()
+            driven_bar = (0.5 * each * left[rows] * shorter).sum(axis=1)
+            by = self.route.law.pull_vjp(length[rows].sum(axis=1), *self._levels(track), driven_bar)
+            length_bar[rows] += by[0][:, None]
+            out.activation[:, k] += self.route.turn * by[1]
+            out.strength[k] += by[2].sum()  # type: ignore[index]
+            out.rest_length[k] += by[3].sum()  # type: ignore[index]
+        moved = self.shape.segments_vjp(track, length_bar, turned_vjp(unit, turned_bar))
+        out.x, out.F = moved.x, moved.F
+        return out
+
+    def _left(self, track: Track, unit: Array) -> Array:
+        """Return the part of the tension at the driven end that friction leaves each segment (T+1, n-1)."""
+        return np.exp(-track.friction[self.route.number] * turned(unit))
+
+    def _driven(self, track: Track, length: Array, rows: slice) -> Array:
+        """Return the tension at the driven end at the beginning or the end of every control step (T,)."""
+        return self.route.law.pull(length[rows].sum(axis=1), *self._levels(track))
+
+    def _levels(self, track: Track) -> tuple[Array, Any, Any]:
+        k, route = self.route.number, self.route
+        return route.begin + route.turn * track.activation[:, k], track.strength[k], track.rest_length[k]
 
 
 class PartWork(Stepwise):

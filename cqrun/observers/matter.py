@@ -34,19 +34,27 @@ class Bindable(Protocol[B]):
 
 @dataclass(frozen=True)
 class Route:
-    """A cable or a spring.
+    """A cable or a spring, or one of several cables on a spool.
 
     Attributes:
-        particles: its particles, in order.
+        particles: the particles that its points ride on, in order; -1 for a point that is fixed in the world.
         number: its number among all parts of actuators and forces.
         law: the plug-in, which knows the tension.
         activated: whether it has an activation.
+        offsets: of its points from the particles at rest (n, D) [m], or the place of one that is fixed; None for the
+            particles themselves.
+        rest: its points at rest (n, D) [m]; None if they are not known.
+        begin, turn: its law has the activation begin + turn u, for the activation u of the spool.
     """
 
     particles: Array
     number: int
     law: Pulling
     activated: bool
+    offsets: Array | None = None
+    rest: Array | None = None
+    begin: float = 0.0
+    turn: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -59,6 +67,7 @@ class Wall:
         facets: (T, D) the points of each facet, with normals out of the chamber.
         number: of the chamber among all parts of actuators and forces.
         law: the plug-in, which knows the pressure.
+        begin, turn: as those of a `Route`.
     """
 
     particles: Array
@@ -66,6 +75,8 @@ class Wall:
     facets: Array
     number: int
     law: Any
+    begin: float = 0.0
+    turn: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -141,7 +152,7 @@ class Matter:
             and its positions then (T, D) [m]; UsageError if there is no such file or marker.
         n_parts: number of parts of actuators and forces.
         parts: of all actuators, in order.
-        routes: name -> cable or spring.
+        routes: name -> cable or spring; those on a spool after the first are called NAME.1, NAME.2 and so on.
         walls: name -> wall of a chamber.
         materials: body -> its material.
         terms: parameters of all terms of the stress at the initial values of the unknowns, as in `Track.terms`.

@@ -21,8 +21,8 @@ class Track:
         goals: goal -> its entries in this episode.
         control_step: length of a control step [s].
         design: (Q, N) rows of `objectives/design.py` for every particle.
-        strength, rest_length: (A',) of every part of actuators and forces; the first A have an activation. The unit of
-            a strength is the part's own; a length is in [m].
+        strength, rest_length, friction: (A',) of every part of actuators and forces; the first A have an activation.
+            The unit of a strength is the part's own; a length is in [m], friction a coefficient [1].
         terms: parameters (rows, N_g) of each term of the stress of each group of bodies, as in `Inputs.terms`.
         weights: of each particle of each actuator, one part after another; empty if all are 1.
         held: force [N] and moment [N m] of the boundaries that readers need (T+1, D+1) or (T+1, 6), by name: means over
@@ -44,6 +44,7 @@ class Track:
     terms: Sequence[Sequence[Array]] = ()
     weights: Array = field(default_factory=lambda: np.zeros(0))
     rest: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    friction: Array = field(default_factory=lambda: np.zeros(0))
 
     def part(self, at: slice) -> Track:
         """Return the record that a reader of some of the sums gets."""
@@ -66,10 +67,11 @@ class TrackBar:
     terms: list[list[Array]] | None = None
     weights: Array | None = None
     rest: Array | None = None
+    friction: Array | None = None
 
     def add_inputs_of(self, other: TrackBar) -> None:
         """Add the parts of another cotangent that belong to the inputs of a run, such as the design and the terms."""
-        for name in ("design", "strength", "rest_length", "weights", "rest"):
+        for name in ("design", "strength", "rest_length", "friction", "weights", "rest"):
             part, so_far = getattr(other, name), getattr(self, name)
             if part is not None:
                 setattr(self, name, part if so_far is None else so_far + part)

@@ -54,8 +54,11 @@ def on_particles(built: Built, part: Part) -> str:
         volume = part.spec.rest_size(part.model.at_rest(built.particles.x), part.model.constants)
         facets = len(part.spec.facets(part.model.constants))
         return f"{number(volume)} m^{built.model.dim} of '{part.spec.body}', in walls of {facets:,} facets"
-    count, far = len(part.model.particles), tied(built.particles, part)
-    text = f"{count:,} particle{'s' * (count != 1)} of '{body_of(part.spec)}'"
+    count, far = len(part.model.carriers), tied(built.particles, part)
+    what = "point" if part.exact else "particle"
+    text = f"{count:,} {what}{'s' * (count != 1)} of '{body_of(part.spec)}'"
+    if fixed := len(part.model.particles) - count:
+        text += f" and {fixed} in the world"
     return text if far is None else f"{text}, at most {far} from the points of its route"
 
 

@@ -99,6 +99,7 @@ def _moment(bound: BoundMeasure, state: State, inputs: Inputs, activation: Array
     return Track(
         x, v, C, F, activation[None], {}, built.scene.time.control_step, built.assembly.design(inputs), {},
         inputs.strength, inputs.rest, inputs.terms, inputs.weights, inputs.state.x,
+        inputs.friction,
     )  # fmt: skip
 
 

@@ -79,7 +79,7 @@ class Forces:
 
     def levels(self, numbers: np.ndarray) -> Levels:
         """Return levels of an activation, a strength and a rest volume."""
-        return Levels(np.array([[numbers[0]]]), numbers[1:2].copy(), numbers[2:3].copy())
+        return Levels(np.array([[numbers[0]]]), numbers[1:2].copy(), numbers[2:3].copy(), np.zeros(1))
 
     def on_points(self, x: np.ndarray, numbers: np.ndarray) -> np.ndarray:
         """Return the forces (n, D)."""

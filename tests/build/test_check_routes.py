@@ -49,9 +49,7 @@ def test_the_farthest_point_of_a_route_is_found(kind):
     far = tied(beam.particles, part)
     assert far is not None
     assert (far.number, far.distance, far.spacing) == (1, pytest.approx(0.005), pytest.approx(SPACING))
-    assert (
-        on_particles(beam, part) == "2 particles of 'beam', at most 0.005 m (0.5 spacings) from the points of its route"
-    )
+    assert on_particles(beam, part) == "2 particles of 'beam', at most 5 mm (0.5 spacings) from the points of its route"
 
 
 def test_what_has_no_route_is_not_tied():
@@ -72,7 +70,7 @@ def test_a_point_outside_the_body_is_a_warning(height, warned, kind):
         return
     (message,) = found
     assert message == (
-        f"{section}.pull.{kind}.route.1: is 0.011 m (1.1 spacings) from the nearest particle, at (0.595, 0.275) m, to "
+        f"{section}.pull.{kind}.route.1: is 11 mm (1.1 spacings) from the nearest particle, at (0.595, 0.275) m, to "
         "which it is tied: the pull acts there, with that lever arm; move the point into the body, or use more "
         "particles per cell"
     )
@@ -83,7 +81,7 @@ def test_validate_shows_cables_and_springs_with_their_distance(tmp_path):
 
     for kind, section in (("cable", "actuator"), ("spring", "force")):
         (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene(0.28, kind)))
-        wanted = f"pull ({kind}): 2 particles of 'beam', at most 0.005 m (0.5 spacings) from the points of its route"
+        wanted = f"pull ({kind}): 2 particles of 'beam', at most 5 mm (0.5 spacings) from the points of its route"
         assert f"  {section:10} {wanted}" in list(validate(tmp_path / "scene.yaml"))
 
 
@@ -94,4 +92,4 @@ def test_a_run_says_at_its_start_what_a_cable_is_tied_to():
     said: list[str] = []
     talk, run = Silent(), type("Run", (), {"log": lambda self, text: said.append(text)})()
     report_bodies(built(0.28), run, talk)
-    assert "pull: tied to 2 particles of 'beam', at most 0.005 m (0.5 spacings) from the points of its route" in said
+    assert "pull: tied to 2 particles of 'beam', at most 5 mm (0.5 spacings) from the points of its route" in said

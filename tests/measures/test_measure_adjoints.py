@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_matter import CELL, N_ACTUATORS, averaged_matter, box_around_left, made_matter, mismatch
-from made_tracks import FIELDS, a_track, products_of, random_like
+from made_tracks import a_track, products_of, random_directions
 
 from cqrun.measures.chamber import WallPressure, WallVolume
 from cqrun.measures.measure import BoundMeasure
@@ -25,7 +25,9 @@ STEP = 1e-3
 """Its error is near 1e-12 for these tracks, whose lengths are 0.1 and more, and rounding adds as much."""
 
 
-WORKING = ("muscle", "chamber", "old_chamber", "magnet", "cable", "weight", "air", "gas", "oil", "both")
+WORKING = (
+    "muscle", "chamber", "old_chamber", "magnet", "cable", "weight", "tendon", "rubbed", "air", "gas", "oil", "both",
+)  # fmt: skip
 """Actuators of `made_parts`."""
 
 
@@ -49,8 +51,11 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "stress": [{"body": "arm", "group": "tip"}, {"body": "ball"}],
         "elastic_energy": [place, {"body": "ball"}],
         "dissipated_energy": [place, {"body": "arm"}, {"body": "ball"}],
-        "cable_length": [{"cable": "cable"}, {"spring": "spring"}],
-        "cable_tension": [{"cable": "cable"}, {"cable": "weight"}, {"spring": "spring"}],
+        "cable_length": [{"cable": "cable"}, {"spring": "spring"}, {"cable": "tendon"}],
+        "cable_tension": [
+            {"cable": "cable"}, {"cable": "weight"}, {"spring": "spring"}, {"cable": "tendon"},
+            {"cable": "tendon", "at": 1.0}, {"cable": "rubbed", "at": 0.6},
+        ],
         "chamber_volume": [{"chamber": "air"}],
         "chamber_pressure": [{"chamber": name} for name in ("air", "gas", "oil")],
         "work": [{"actuator": name} for name in WORKING],
@@ -78,7 +83,7 @@ def moved(value: Any, direction: Any, step: float) -> Any:
 
 def adjoint_error(bound: BoundMeasure, track: Track, rng: np.random.Generator) -> float:
     """Return the relative error of bar . (J d) = (J^T bar) . d."""
-    directions = {name: random_like(getattr(track, name), rng) for name in FIELDS}
+    directions = random_directions(track, rng)
     bar = rng.normal(size=bound.values(track).shape)
 
     def at(step: float) -> float:

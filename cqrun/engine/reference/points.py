@@ -1,6 +1,7 @@
 """Points that ride on particles: on surfaces that touch, and where forces pull.
 
-A point moves with the affine motion of its particle, x_s = x_p + F_p (X_s - X_p).
+A point moves with the affine motion of its particle, x_s = x_p + F_p (X_s - X_p). One whose particle is -1 is fixed in
+the world: its weights are zero.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ def riding_points(patches: Patches, X: Array, particle: Array, x: Array, dx: flo
     node, weight = stencil_weights(patches, columns)
     f = patches.f[columns]
     share = 1.0 + 4.0 * np.einsum("skd,sd->sk", _arms(f), x - X[particle]) / dx
+    share[particle < 0] = 0.0
     return make_points(columns, node, weight * share)
 
 
@@ -36,6 +38,7 @@ def riding_points_vjp(
     patches: Patches, X: Array, particle: Array, x: Array, dx: float, weight_bar: Array
 ) -> tuple[Array, Array]:
     """Return the cotangents of x (S, D) and of X (N, D) from those of the weights (S, 3^D)."""
+    weight_bar = np.where(particle[:, None] < 0, 0.0, weight_bar)
     columns = patches.layout.columns()[particle]
     f, offset = patches.f[columns], x - X[particle]
     _, weight = stencil_weights(patches, columns)

@@ -15,7 +15,7 @@ import numpy as np
 from cqrun.boundaries.condition import project_all
 from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.checkpoint import Plan
-from cqrun.engine.model import LossBar, Records
+from cqrun.engine.model import LossBar, Records, riding_at
 from cqrun.engine.reference.backward import ReferenceBackward
 from cqrun.engine.reference.contacts import clear_slid, has_slid, make_contacts
 from cqrun.engine.reference.corners import make_means
@@ -97,7 +97,7 @@ class ReferenceRollout(Rollout):
         """Return the points that forces pull, each of which rides on a particle."""
         model, X = self.model, self.rest.x
         particle, offset, _ = model.force_points()
-        rest, n = X[particle] + offset, -(-len(particle) // PADDING) * PADDING
+        rest, n = riding_at(X, particle) + offset, -(-len(particle) // PADDING) * PADDING
         points = riding_points(self.rest.patches, X, particle, rest, model.dx)
         q, push = (pack(np.zeros((rows * model.dim, n)), model.real) for rows in (2, 1))
         return PointLoads(points, pulled, particle, rest, q, push)

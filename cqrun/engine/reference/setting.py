@@ -63,7 +63,7 @@ class PointLoads(NamedTuple):
 
     points: Points
     pulled: Pulled  # its columns are the numbers of the points
-    particle: Array  # (P,) that moves the point, in user order
+    particle: Array  # (P,) that moves the point, in user order; -1 for one that is fixed in the world
     rest: Array  # (P, D) [m]
     q: Array  # (2 D, n) positions and velocities
     push: Array  # (D, n) changes or cotangents of the forces

@@ -65,7 +65,8 @@ def motion_bar(rollout: Any, shape: ShapeBars) -> Array:
             patches, rollout.rest.x, each.particle, each.rest, model.dx, shape.point_weight
         )
         bar += X_bar
-        np.add.at(bar, each.particle, x_bar + shape.point_rest)
+        rides = each.particle >= 0
+        np.add.at(bar, each.particle[rides], (x_bar + shape.point_rest)[rides])
     return np.asarray(bar, np.float64)
 
 

@@ -27,6 +27,7 @@ from cqrun.engine.reference.patches import Patches
 from cqrun.engine.reference.setting import NodeRun
 from cqrun.engine.setting import Crew, Drive
 from cqrun.engine.statics.volumes import MeanVolumes
+from cqrun.forces.force import is_unsymmetric
 from cqrun.numerics.compile import allocating_kernel
 from cqrun.plugin.contract import Array
 
@@ -229,6 +230,8 @@ def _factors(K: Any) -> tuple[Any, bool]:
 def pulled_points(run: NodeRun, loads: Any, drive: Drive, control: int) -> list[Pulled]:
     """Return the stiffness of forces on points where they are now; those on many points are left out.
 
+    Of an unsymmetric one it is the symmetric part: good enough for a preconditioner.
+
     Args:
         loads: of a rollout of the reference frame.
     """
@@ -247,9 +250,12 @@ def pulled_points(run: NodeRun, loads: Any, drive: Drive, control: int) -> list[
                 exert_of_each_vjp(drive.forces, drive.levels, control, load.q, push, Crew(0, 1))
                 push[k // width, axis, k % width] = 0.0
                 np.add.at(K[k * d + axis], place, -pulled.shares.x_bar)
+        K = K.reshape(count * d, count * d)
+        if any(is_unsymmetric(type(force)) for force in drive.forces):
+            K = 0.5 * (K + K.T)
         nodes = np.repeat(np.arange(count), reach), points.node.ravel()
         weights = sparse.csr_array((points.weight.ravel(), nodes), shape=(count, len(run.nodes.mass)))
-        found.append(Pulled(weights, sparse.csr_array(K.reshape(count * d, count * d))))
+        found.append(Pulled(weights, sparse.csr_array(K)))
     return found
 
 

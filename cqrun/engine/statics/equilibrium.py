@@ -11,7 +11,10 @@ A loss of the reactions depends on f itself, by a cotangent g of the forces on h
 
     K lambda = P (dL/du + (df/du)^T g),    dL/dtheta = (lambda + g) . df/dtheta,
 
-where P projects on the free directions, and (df/du)^T g is a product with the matrix of all nodes, which is symmetric.
+where P projects on the free directions, and (df/du)^T g is a product with the matrix of all nodes.
+
+Forces without a potential, such as tendons that rub, make K unsymmetric. Then the steps are found by GMRES, and the
+adjoint's linear system has the transposed matrix, K^T lambda = dL/du.
 """
 
 from __future__ import annotations
@@ -30,13 +33,14 @@ from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.reference.step import begin_control
 from cqrun.engine.setting import Crew
 from cqrun.engine.statics.holding import Planes, loose_bodies
-from cqrun.engine.statics.krylov import Solution, conjugate_gradients
+from cqrun.engine.statics.krylov import Solution, conjugate_gradients, minimal_residuals
 from cqrun.engine.statics.newton import MOST_PRODUCTS, Rest, find_rest
-from cqrun.engine.statics.passes import find_bars, find_change, find_net, find_slopes
+from cqrun.engine.statics.passes import find_bars, find_change, find_change_vjp, find_net, find_slopes
 from cqrun.engine.statics.precondition import REFRESH, Preconditioner
 from cqrun.engine.statics.reactions import Holder, holders, resultant, resultant_vjp
 from cqrun.engine.statics.tangent import rows_of
 from cqrun.engine.statics.volumes import MeanVolumes
+from cqrun.forces.force import is_unsymmetric
 from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import aligned
 from cqrun.plugin.contract import Array
@@ -61,6 +65,9 @@ class Equilibrium:
         threads: number of threads at most. The results do not depend on it.
         control: the control step whose activations act.
         slow: whether the coarse space is made at once, because equilibria like this one needed it.
+
+    Attributes:
+        symmetric: whether all forces have a potential, so that the stiffness matrix is symmetric.
     """
 
     def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0, slow: bool = False) -> None:
@@ -70,6 +77,8 @@ class Equilibrium:
         alone = replace(model, surface=None, obstacles=(), reactions=(), static=True)  # contact is not felt at rest
         self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
         self.control, self.run = control, self.rollout.bundle
+        self.symmetric = not any(is_unsymmetric(type(force)) for force in self.rollout.drive.forces)
+        self.solver = conjugate_gradients if self.symmetric else minimal_residuals
         self.dim, self.n_nodes = model.dim, len(self.run.nodes.mass)
         patches, real = self.rollout.rest.patches, model.real
         self.colours = patches.colours
@@ -117,6 +126,11 @@ class Equilibrium:
         self.preconditioner.since += 1
         return self.holding.freed(-self._change(p))
 
+    def product_vjp(self, p: Array) -> Array:
+        """Return the transposed stiffness matrix times a displacement (M, 4)."""
+        self.preconditioner.since += 1
+        return self.holding.freed(-self._change_vjp(p))
+
     def precondition(self, r: Array) -> Array:
         """Return the forces (M, 4) times something like the inverse of the stiffness matrix."""
         return self.preconditioner.solve(r)
@@ -139,7 +153,7 @@ class Equilibrium:
         load = self.load()
         if change.any():
             load = max(load, float(np.linalg.norm(self.net(start))))
-        rest = find_rest(self, start, load, tolerance)
+        rest = find_rest(self, start, load, tolerance, self.solver)
         return self._judged(rest) if rest.converged and (judge or self.preconditioner.coarse is not None) else rest
 
     def smallest_eigenvalue(self, u: Array) -> float:
@@ -156,7 +170,7 @@ class Equilibrium:
         net = self.net(u)
         self.linearise(u)
         pull = net - self.product(change)
-        return np.asarray(change + conjugate_gradients(self.product, pull, self.precondition, 1e-2, MOST_PRODUCTS).x)
+        return np.asarray(change + self.solver(self.product, pull, self.precondition, 1e-2, MOST_PRODUCTS).x)
 
     def load(self) -> float:
         """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
@@ -239,7 +253,7 @@ class Equilibrium:
         loss_bar = u_bar.copy()
         self.linearise(u)
         if f_bar is not None:
-            loss_bar += self._change(f_bar)
+            loss_bar += self._change_vjp(f_bar)
         loss_bar = self.holding.freed(loss_bar)
         found = self._solve(loss_bar, tolerance)
         adjoint = found.x if f_bar is None else found.x + f_bar
@@ -285,22 +299,25 @@ class Equilibrium:
         self.rollout.team.run(lambda thread: body(Crew(thread, n)))
 
     def _solve(self, b: Array, tolerance: float) -> Solution:
-        """Return the solution of the linear system at the state of `linearise`; a long search gets a coarse space."""
+        """Return the adjoint's solution at the state of `linearise`; a long search gets a coarse space."""
         most = MOST_PRODUCTS if self.preconditioner.fresh else REFRESH
-        first = conjugate_gradients(self.product, b, self.precondition, tolerance, most)
+        first = self.solver(self.product_vjp, b, self.precondition, tolerance, most)
         if first.converged or first.negative:
             return first
         self.preconditioner.add_coarse()
-        left = b - self.product(first.x)
+        left = b - self.product_vjp(first.x)
         relative = tolerance * float(np.linalg.norm(b) / np.linalg.norm(left))
-        second = conjugate_gradients(self.product, left, self.precondition, relative, 10 * MOST_PRODUCTS)
+        second = self.solver(self.product_vjp, left, self.precondition, relative, 10 * MOST_PRODUCTS)
         return second._replace(x=first.x + second.x, iterations=first.iterations + second.iterations)
 
     def _judged(self, rest: Rest) -> Rest:
         """Return a rest with the smallest eigenvalue there, and whether one is negative.
 
-        The coarse space may see none where the fine one does. Then the eigenvalue is not known.
+        The coarse space may see none where the fine one does. Then the eigenvalue is not known. That of an unsymmetric
+        matrix is not sought.
         """
+        if not self.symmetric:
+            return rest
         smallest = self.smallest_eigenvalue(rest.u)
         if np.isnan(smallest):
             return replace(rest, smallest=smallest if rest.negative else rest.smallest)
@@ -324,17 +341,22 @@ class Equilibrium:
         """Return how the free nodes follow a change of the held ones, to first order: a good guess for the search."""
         self.linearise(u)
         pull = -self.product(change)
-        return conjugate_gradients(self.product, pull, self.precondition, 1e-2, MOST_PRODUCTS).x
+        return self.solver(self.product, pull, self.precondition, 1e-2, MOST_PRODUCTS).x
 
     def _change(self, p: Array) -> Array:
         """Return the change of the forces on all nodes (M, 4) with a displacement p, at the state of `linearise`.
 
         The array is that of the next pass, too.
         """
+        return self._changed_by(find_change, p)
+
+    def _change_vjp(self, p: Array) -> Array:
+        """Return the product of p with the transposed matrix of `_change`."""
+        return self._changed_by(find_change if self.symmetric else find_change_vjp, p)
+
+    def _changed_by(self, find: Callable[..., None], p: Array) -> Array:
         r = self.rollout
-        self._each(
-            lambda crew: find_change(r.loads, r.ghosts, r.drive, self.run, self.A, self.colours, p, self.control, crew)
-        )
+        self._each(lambda crew: find(r.loads, r.ghosts, r.drive, self.run, self.A, self.colours, p, self.control, crew))
         if self.volumes is not None:
             self.run.force[:, : self.dim] -= self.volumes.product(p[:, : self.dim])
         return self.run.force

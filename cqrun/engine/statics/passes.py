@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from cqrun.engine.drive import activate_vjp
-from cqrun.engine.exert import exert_of_each_vjp
+from cqrun.engine.exert import exert_of_each_jvp, exert_of_each_vjp
 from cqrun.engine.reference.forces import place_points_each, pull_each, pull_each_vjp, share_out, spread_to_points
 from cqrun.engine.reference.ghost import haunt_each, haunt_each_vjp
 from cqrun.engine.reference.look import look
@@ -55,18 +55,43 @@ def find_change(
 
 
 @kernel
+def find_change_vjp(
+    loads: Any, ghosts: Any, drive: Drive, run: NodeRun, A: Array, colours: Array, p: Array, control: int, crew: Crew
+) -> None:
+    """Write the product of p with the transposed matrix of `find_change`; only forces on points make it another one."""
+    clear_nodes(run.force, run, crew)
+    stiffen(run, A, p, colours, crew)
+    pull_change_each_vjp(loads, drive, run, p, control, crew)
+    haunt_each(ghosts, run, p, crew)
+
+
+@kernel
 def pull_change(load: PointLoads, drive: Drive, run: NodeRun, p: Array, control: int, crew: Crew) -> None:
-    """Add the change of the forces on points; their tangent is symmetric, so their adjoint gives it."""
-    pulled = load.pulled
+    """Add the change of the forces on points; where their tangent is symmetric, their adjoint gives it."""
+    spread_to_points(load, p, 1, 0, crew)
+    barrier(run.arrivals, crew.n_threads)
+    exert_of_each_jvp(drive.forces, drive.levels, control, load.q, load.push, crew)
+    share_change(load, run, crew)
+
+
+@kernel
+def pull_change_vjp(load: PointLoads, drive: Drive, run: NodeRun, p: Array, control: int, crew: Crew) -> None:
+    """Add the product of p with the transposed tangent of the forces on points."""
     spread_to_points(load, p, 1, 0, crew)
     barrier(run.arrivals, crew.n_threads)
     exert_of_each_vjp(drive.forces, drive.levels, control, load.q, load.push, crew)
+    share_change(load, run, crew)
+
+
+@kernel
+def share_change(load: PointLoads, run: NodeRun, crew: Crew) -> None:
+    """Add what a pass over all forces on points has written to the nodes."""
     barrier(run.arrivals, crew.n_threads)
-    share_out(load.points, pulled, pulled.shares.x_bar, run.force, 1, 0, crew)
+    share_out(load.points, load.pulled, load.pulled.shares.x_bar, run.force, 1, 0, crew)
     barrier(run.arrivals, crew.n_threads)
 
 
-pull_change_each = for_each(pull_change)
+pull_change_each, pull_change_each_vjp = for_each(pull_change), for_each(pull_change_vjp)
 
 
 @kernel

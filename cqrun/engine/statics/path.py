@@ -265,7 +265,7 @@ class RestPath:
         return out
 
 
-MIXED = ("activation", "strength", "rest", "weights", "moves")
+MIXED = ("activation", "strength", "rest", "friction", "weights", "moves")
 """The inputs that change on the way, beside fields and terms."""
 
 
