@@ -11,6 +11,7 @@ from itertools import combinations, islice
 
 import numpy as np
 
+from cqrun.actuators.chamber import is_chamber
 from cqrun.boundaries.condition import BoundaryCondition
 from cqrun.build.regions import BodyPoints, boundary
 from cqrun.errors import Problem, UsageError
@@ -194,6 +195,8 @@ def empty_regions(scene: Scene, points: Points) -> Iterator[Problem]:
             what = "holds" if group in spec.groups else f"the colour '{group}' holds"
             yield from _empty(scene, path, group, {body: points[body]}, what)
     for found in marked(scene, Choice):
+        if is_chamber(found.part):  # no particle is in a cavity
+            continue
         if isinstance(found.value.value, Region) and marked_fields(type(found.part), NamesBody):
             owner = body_of(found.part)
             held = {owner: points[owner]} if owner is not None else points
