@@ -143,3 +143,18 @@ class RolloutError(RunError):
         self.time, self.advice = time, advice
         of = f" (group '{group}')" if group else ""
         super().__init__(f"body '{body}', particle {particle}{of}, t = {time:.6g} s: {reason}; {advice}")
+
+
+class RigidBodyError(RolloutError):
+    """A rollout that had to stop because of a rigid body.
+
+    Args:
+        reason: what happened, in words.
+        rigid: name of the rigid body.
+        time: when it happened [s].
+        advice: what to change.
+    """
+
+    def __init__(self, reason: str, *, rigid: str, time: float, advice: str) -> None:
+        super().__init__(reason, body=rigid, particle=-1, time=time, advice=advice)
+        self.args = (f"rigid body '{rigid}', t = {time:.6g} s: {reason}; {advice}",)

@@ -16,6 +16,7 @@ from scipy import sparse
 
 from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
 from cqrun.engine.probe import make_probe
+from cqrun.engine.rigid_model import NUMBERS, ROWS, RigidModel, count_free
 from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
 from cqrun.engine.surface import MeetingModel, ObstacleModel, SurfaceModel, count_springs
 from cqrun.forces.force import Kind, Levels, is_force, make_forces
@@ -120,6 +121,7 @@ class Model:
     surface: SurfaceModel | None = None  # of the bodies, in the reference frame
     obstacles: tuple[ObstacleModel, ...] = ()  # in the reference frame
     meeting: MeetingModel | None = None  # of bodies with each other, in the reference frame
+    rigid: tuple[RigidModel, ...] = ()  # in the reference frame
     reactions: tuple[str, ...] = ()  # boundaries whose forces and moments are recorded, in the reference frame
     centers: Mapping[str, Array] = field(default_factory=dict)  # by boundary: about which moments and rotations are [m]
     regions: Mapping[tuple[str, str], Array] = field(
@@ -141,7 +143,7 @@ class Model:
         The histories of a sorted layout have a little more padding, and the impulses of recorded reactions, which only
         nodes have that slip or are carried, are not counted.
         """
-        rows = self.n_nodes + -(-self.n_springs // 2)
+        rows = self.n_nodes + -(-self.n_springs // 2) + ROWS * count_free(self.rigid)
         remembered = sum(field.size for field in self.layout.history) * self.layout.n
         numbers = 8 * rows + remembered if self.frame == "reference" else self.layout.table.n_rows * self.layout.n
         return int(numbers * np.dtype(self.real).itemsize)
@@ -154,7 +156,12 @@ class Model:
     @property
     def n_springs(self) -> int:
         """Number of tangential springs of contact, which are part of the state."""
-        return count_springs(self.surface, self.obstacles, self.meeting)
+        return sum(count_springs(self.surface, self.obstacles, self.meeting, self.rigid))
+
+    @property
+    def first_skin_spring(self) -> int:
+        """Number of the first spring on the skins of rigid bodies."""
+        return count_springs(self.surface, self.obstacles, self.meeting, self.rigid)[0]
 
     @property
     def n_steps(self) -> int:
@@ -279,6 +286,8 @@ class Inputs:
     moves: Array = field(default_factory=lambda: np.zeros(0))  # (planes, D + 1 or 6) displacement and rotation
     surface: Array = field(default_factory=lambda: np.zeros(0))  # points at rest (S, D) [m]; the model's if empty
     friction: Array = field(default_factory=lambda: np.zeros(0))  # coefficient of each part [1]; all 0 if empty
+    rigid: Array = field(default_factory=lambda: np.zeros((0, NUMBERS)))  # of rigid bodies (`rigid_model.py`)
+    waypoints: Array = field(default_factory=lambda: np.zeros((0, 6)))  # of their paths: displacement, rotation vector
     shaped: bool = False  # whether gradients by the rest positions are wanted, in the reference frame
 
     @classmethod
@@ -294,6 +303,8 @@ class Inputs:
             other.moves,
             other.surface,
             other.friction,
+            other.rigid,
+            other.waypoints,
         )
         fields = ParticleFields.zeros(*other.state.x.shape)
         return cls(other.state.zeros_like(), fields, terms, *map(np.zeros_like, numbers))
@@ -304,7 +315,8 @@ class Records:
     """K weighted means over particles, recorded at control steps 0 .. T, or the cotangent of these records.
 
     `held` has the force [N] and the moment [N m] (T + 1, D + 1) or (T + 1, 6) with which each recorded boundary acts on
-    the bodies, by its name (2D: [N/m], [N]): means over the control step that ends there, zero in row 0.
+    the bodies, by its name (2D: [N/m], [N]): means over the control step that ends there, zero in row 0. `rigid` has
+    displacement, rotation vector (2D: angle), velocity and angular velocity (T + 1, 6 or 12) of each rigid body.
     """
 
     x: Array  # (T + 1, K, D) position [m]
@@ -313,6 +325,7 @@ class Records:
     F: Array  # (T + 1, K, D, D) deformation gradient [1]
     history: dict[str, Array] = field(default_factory=dict)  # (T + 1, K, ...) of material terms that have one, by name
     held: dict[str, Array] = field(default_factory=dict)
+    rigid: dict[str, Array] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[Array]:
         """Iterate over x, v, C and F."""
@@ -329,8 +342,9 @@ class Records:
     def zeros_like(self) -> Records:
         """Return zero records of the same shapes."""
         x, v, C, F = (np.zeros_like(a) for a in self)
-        history, held = ({name: np.zeros_like(a) for name, a in of.items()} for of in (self.history, self.held))
-        return Records(x, v, C, F, history, held)
+        more = (self.history, self.held, self.rigid)
+        history, held, rigid = ({name: np.zeros_like(a) for name, a in of.items()} for of in more)
+        return Records(x, v, C, F, history, held, rigid)
 
     def add(self, other: Records) -> None:
         """Add other records to these."""
@@ -340,6 +354,8 @@ class Records:
             self.history[name] += more
         for name, more in other.held.items():
             self.held[name] += more
+        for name, more in other.rigid.items():
+            self.rigid[name] += more
 
     def to_rows(self, table: StateTable) -> Array:
         """Return kernel rows (T + 1, rows, K); missing histories count as zero."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cqrun.boundaries.solid import Solid
+from cqrun.engine.rigid_model import RigidModel, count_skin
 from cqrun.plugin.contract import Array
 
 NO_FACETS = np.zeros((0, 0), np.int64)
@@ -60,10 +61,17 @@ class MeetingModel:
 
 
 def count_springs(
-    surface: SurfaceModel | None, obstacles: Sequence[ObstacleModel], meeting: MeetingModel | None
-) -> int:
-    """Return the number of tangential springs, which are part of the state: those of obstacles, then of bodies."""
+    surface: SurfaceModel | None, obstacles: Sequence[ObstacleModel], meeting: MeetingModel | None,
+    rigid: Sequence[RigidModel] = (),
+) -> tuple[int, int, int]:  # fmt: skip
+    """Return the numbers of tangential springs, which are part of the state, in their order.
+
+    They are those of soft surfaces on obstacles and rigid bodies, of the skins of rigid bodies on obstacles, and of
+    soft surfaces on each other.
+    """
     if surface is None:
-        return 0
-    kinds = any(obstacle.rubs for obstacle in obstacles) + (meeting is not None and meeting.rubs)
-    return len(surface.x) * int(kinds)
+        return 0, 0, 0
+    rubs = any(obstacle.rubs for obstacle in obstacles)
+    on_obstacles = rubs or any(body.rubs for body in rigid)
+    meet = meeting is not None and meeting.rubs
+    return len(surface.x) * on_obstacles, count_skin(rigid) * rubs, len(surface.x) * meet

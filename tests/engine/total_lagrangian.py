@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 import reference
+from gripping import Gripping
 from mean_volumes import more_stress
 from reference import Array, Moving, t
 from touching import Meeting, Touching
@@ -141,7 +142,7 @@ class Acting:
 
     def push(self, touching: Touching) -> None:
         for o, x, force in touching.pushed:
-            name = self.model.conditions[self.model.obstacles[o].condition].name
+            name = name_of(self.model, o)
             if name in self.rows:
                 self.add(name, self.model.dt * force, self.model.dt * turning(x[None], force[None])[0])
 
@@ -154,6 +155,12 @@ class Acting:
 
     def by_name(self) -> dict[str, Array]:
         return {name: np.array(rows) for name, rows in self.rows.items()}
+
+
+def name_of(model: Model, o: int) -> str:
+    """Return the name of an obstacle: of its boundary, or of the rigid body."""
+    first = len(model.obstacles)
+    return model.rigid[o - first].name if o >= first else model.conditions[model.obstacles[o].condition].name
 
 
 def turning(a: Array, f: Array) -> Array:
@@ -173,7 +180,7 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
     v, u = held(model, v, present), np.zeros_like(v)
     touching = None
     if model.surface is not None:
-        touching = Touching(model, inputs, stencils)
+        touching = (Gripping if model.rigid else Touching)(model, inputs, stencils)
     meeting = None
     if model.meeting is not None:
         body = np.repeat(np.arange(len(model.layout.counts)), model.layout.counts)[model.surface.particle]
@@ -186,6 +193,7 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
     for step in range(model.n_steps):
         if step % model.substeps == 0:
             rows.append(reference.seen(W, s))
+            see_bodies(touching)
         pushed, _ = reference.active_force(model, inputs, s, step)
         tau = reference.kirchhoff(model, inputs, s, step)
         if model.averaged:
@@ -209,4 +217,12 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
         s = motion(model, X, stencils, u, v, s.history)
         s.history = reference.relaxed(inputs, s.history, s.F, dt)
     rows.append(reference.seen(W, s))
-    return replace(reference.recorded(rows), held=acting.by_name()), s
+    see_bodies(touching)
+    poses = touching.poses() if isinstance(touching, Gripping) else {}
+    return replace(reference.recorded(rows), held=acting.by_name(), rigid=poses), s
+
+
+def see_bodies(touching: Touching | None) -> None:
+    """Note the poses of rigid bodies."""
+    if isinstance(touching, Gripping):
+        touching.see()

@@ -10,13 +10,15 @@ from cqrun.boundaries.condition import project_all_vjp
 from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.model import Inputs, LossBar
 from cqrun.engine.probe import record_vjp
-from cqrun.engine.reference.contacts import add_friction_bars, rest_bars, with_own_bars
+from cqrun.engine.reference.contacts import add_friction_bars, add_rigid_bars, rest_bars, rigid_of, with_own_bars
 from cqrun.engine.reference.corners import add_means_bar, with_bars
 from cqrun.engine.reference.ghost import GAMMA, mean_modulus, mean_modulus_vjp
 from cqrun.engine.reference.history import rows_of_state, rows_of_table
 from cqrun.engine.reference.history import with_bars as with_histories_bars
 from cqrun.engine.reference.moves import poses_vjp
+from cqrun.engine.reference.placing import note_all_poses_vjp
 from cqrun.engine.reference.reactions import columns, zero_bars_of
+from cqrun.engine.reference.rigid import put_record_bars
 from cqrun.engine.reference.setting import NodeBars
 from cqrun.engine.reference.shape import make_shape_bars, motion_bar
 from cqrun.engine.reference.step import reverse, see_vjp
@@ -61,7 +63,7 @@ class ReferenceBackward(BackwardRun):
         self.moves = tuple((moves, np.zeros_like(moves.pose)) for moves in r.moves)
         self.reactions = tuple((reactions, zero_bars_of(reactions)) for reactions in r.reactions)
         mean_bar = self.reactions[0][1].mean if self.reactions else np.zeros((0, 0, 0))
-        self.contacts = with_own_bars(r.contacts, r.inputs, mean_bar)
+        self.contacts = with_own_bars(r.contacts, r.model, r.inputs, mean_bar)
         self.finished = False
 
     def _begin(self, loss_bar: LossBar) -> None:
@@ -70,6 +72,8 @@ class ReferenceBackward(BackwardRun):
         for _, bars in self.reactions:
             for name, bar in held_bar.items():
                 bars.mean[:, model.reactions.index(name), columns(model.dim)] = bar[1:]
+        for rigid in rigid_of(self.contacts) if loss_bar.records is not None else ():
+            put_record_bars(rigid, model, loss_bar.records.rigid)
 
     def _from(self, states: Array, k: int) -> Array:
         """Return the kept states from the k-th on; a run that reverses has one state."""
@@ -113,6 +117,7 @@ class ReferenceBackward(BackwardRun):
     def inputs_bar(self) -> Inputs:
         """Return the cotangent of the inputs."""
         bar, r = super().inputs_bar(), self.rollout
+        add_rigid_bars(self.contacts, r.model, r.inputs, self.q_bar, bar)
         if r.ghosts:
             self._add_ghost_bar(bar)
         for _, pose_bar in self.moves:
@@ -157,6 +162,8 @@ class ReferenceBackward(BackwardRun):
         self._add_histories(bar)
         momentum = np.einsum("nd,nd->n", value, start.v) + model.dx * np.einsum("nde,nde->n", moment, start.C)
         if not self.finished:
+            for contact in self.contacts.obstacles:
+                note_all_poses_vjp(contact, run, self.bundle, *self.rollout.start, 0, Crew(0, 1))
             add_friction_bars(self.contacts, self.rollout.model, self.coefficient_bar)
             self._finish_masses(mass_bar, momentum)
         if self.rollout.inputs.shaped:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import svds
 
 from cqrun.boundaries.solid import Solids, make_solids
-from cqrun.engine.model import Model
+from cqrun.engine.model import Inputs, Model
 from cqrun.engine.reference.movers import Movers, SurfaceBars, make_movers, zero_bars
 from cqrun.engine.reference.patches import make_patches
 from cqrun.engine.reference.points import riding_points
 from cqrun.engine.reference.rest import RestGeometry, stencil_weights
 from cqrun.engine.reference.rub import ONSET
 from cqrun.engine.reference.setting import Points
+from cqrun.engine.rigid_model import FRICTION
 from cqrun.numerics.compile import own_symbols
 from cqrun.numerics.packed import aligned
 from cqrun.plugin.contract import Array
@@ -88,6 +89,7 @@ class Contact(NamedTuple):
     friction_bar: Array  # (S, O) of the coefficients, summed over substeps
     bars: SurfaceBars
     pushes: tuple[Pushes, ...]  # one entry, or none if no reactions of obstacles are recorded
+    rigid: tuple[Any, ...]  # bodies that are obstacles (`rigid.Rigid`), one entry or none
 
 
 for _class in (Surface, Obstacles, Near, Pushes, Contact):
@@ -109,16 +111,26 @@ def make_surface(model: Model, rest: RestGeometry, x: Array) -> Surface:
     return Surface(points, in_3d(x), *constants, ONSET * model.dx)
 
 
-def make_contact(model: Model, surface: Surface, coefficients: Array, n_threads: int) -> tuple[Contact, ...]:
-    """Return one entry, or none if there are no obstacles."""
-    if not model.obstacles:
+def make_obstacles(model: Model, inputs: Inputs, *, rigid: bool) -> Obstacles:
+    """Return the kernels' view of the obstacles of boundaries, and after them of rigid bodies, if these are wanted."""
+    bodies = model.rigid if rigid else ()
+    every = (*model.obstacles, *bodies)
+    friction = [inputs.coefficients[obstacle.condition] for obstacle in model.obstacles]
+    friction += [numbers[FRICTION] for numbers in inputs.rigid[: len(bodies)]]
+    solids = [solid for obstacle in every for solid in obstacle.solids]
+    begin = np.cumsum([0, *(len(obstacle.solids) for obstacle in every)]).astype(np.int64)
+    dashpot = np.array([obstacle.dashpot for obstacle in every], np.float64)
+    rubs = np.array([obstacle.rubs for obstacle in every], np.bool_)
+    return Obstacles(make_solids(solids), begin, np.array(friction, np.float64), dashpot, rubs, int(rubs.any()))
+
+
+def make_contact(
+    model: Model, surface: Surface, obstacles: Obstacles, rigid: tuple[Any, ...], n_threads: int
+) -> tuple[Contact, ...]:
+    """Return one entry, or none if there are no obstacles and no rigid bodies."""
+    if not model.obstacles and not model.rigid:
         return ()
-    n, k = len(surface.rest), len(surface.points.nodes)
-    solids = [solid for obstacle in model.obstacles for solid in obstacle.solids]
-    begin = np.cumsum([0, *(len(obstacle.solids) for obstacle in model.obstacles)]).astype(np.int64)
-    friction = np.array([coefficients[obstacle.condition] for obstacle in model.obstacles], np.float64)
-    dashpot = np.array([obstacle.dashpot for obstacle in model.obstacles], np.float64)
-    rubs, margin = np.array([obstacle.rubs for obstacle in model.obstacles], np.bool_), MARGIN * model.dx
+    n, k, margin = len(surface.rest), len(surface.points.nodes), MARGIN * model.dx
     near = Near(
         np.zeros(n, np.int64), np.zeros(1, np.int64), make_movers(surface.points), np.zeros(n, np.bool_),
         np.full((k, 3), np.inf), np.zeros(n_threads), margin, margin / growth_of(surface.points),
@@ -126,16 +138,17 @@ def make_contact(model: Model, surface: Surface, coefficients: Array, n_threads:
     force, u_bar, v_bar = (aligned((n, 3), np.float64) for _ in range(3))
     return (
         Contact(
-            surface, Obstacles(make_solids(solids), begin, friction, dashpot, rubs, int(rubs.any())), near,
-            np.zeros(n_threads, np.int64), force, u_bar, v_bar, np.zeros((n, len(model.obstacles))),
-            zero_bars(surface.points, False), make_pushes(model, n),
+            surface, obstacles, near, np.zeros(n_threads, np.int64), force, u_bar, v_bar,
+            np.zeros((n, len(obstacles.dashpot))), zero_bars(surface.points, False),
+            make_pushes(model, n, rigid=True), rigid,
         ),
     )  # fmt: skip
 
 
-def make_pushes(model: Model, n_points: int) -> tuple[Pushes, ...]:
-    """Return one entry, or none if no reactions of obstacles are recorded."""
+def make_pushes(model: Model, n_points: int, *, rigid: bool) -> tuple[Pushes, ...]:
+    """Return one entry, or none if no reactions of obstacles, or of rigid bodies if these count, are recorded."""
     names = [model.conditions[obstacle.condition].name for obstacle in model.obstacles]
+    names += [body.name for body in model.rigid if rigid]
     if not set(names) & set(model.reactions):
         return ()
     owner = np.array([model.reactions.index(name) if name in model.reactions else -1 for name in names])

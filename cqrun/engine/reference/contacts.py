@@ -7,14 +7,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cqrun.engine.model import Inputs, Model
-from cqrun.engine.reference.contact import Contact, make_contact, make_surface
+from cqrun.engine.reference.contact import Contact, make_contact, make_obstacles, make_pushes, make_surface
 from cqrun.engine.reference.meet import encounter_each, encounter_each_vjp, encounter_rates_each_vjp
 from cqrun.engine.reference.meeting import Meeting, make_meeting
 from cqrun.engine.reference.movers import zero_bars
+from cqrun.engine.reference.placing import place_all_bodies_each
 from cqrun.engine.reference.points import riding_points_vjp
 from cqrun.engine.reference.rest import RestGeometry
+from cqrun.engine.reference.ride import ride_all_each, ride_all_each_vjp, settle_all_poses_each
+from cqrun.engine.reference.rigid import Rigid, make_rigid, start_bars
+from cqrun.engine.reference.rigid import with_own_bars as with_own_rigid_bars
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
 from cqrun.engine.reference.touch import touch_each, touch_each_vjp, touch_rates_each_vjp
+from cqrun.engine.rigid_model import FRICTION, count_skin
 from cqrun.engine.setting import Crew
 from cqrun.numerics.compile import kernel, own_symbols
 from cqrun.plugin.contract import Array
@@ -34,13 +39,22 @@ def make_contacts(model: Model, rest: RestGeometry, inputs: Inputs, n_threads: i
     """Return the kernels' view of all contact of a model."""
     if model.surface is None:
         return Contacts((), ())
-    surface, coefficients = make_surface(model, rest, inputs.surface), inputs.coefficients
+    surface, fixed = make_surface(model, rest, inputs.surface), make_obstacles(model, inputs, rigid=False)
+    pushes = make_pushes(model, count_skin(model.rigid), rigid=False)
+    rigid = make_rigid(model, inputs, fixed, pushes, len(surface.rest), rest.patches.n_nodes)
+    obstacles = make_obstacles(model, inputs, rigid=True)
     return Contacts(
-        make_contact(model, surface, coefficients, n_threads), make_meeting(model, surface, coefficients, n_threads)
+        make_contact(model, surface, obstacles, rigid, n_threads),
+        make_meeting(model, surface, inputs.coefficients, n_threads),
     )
 
 
-def with_own_bars(contacts: Contacts, inputs: Inputs, mean_bar: Array) -> Contacts:
+def rigid_of(contacts: Contacts) -> tuple[Rigid, ...]:
+    """Return the rigid bodies of all contact: one entry, or none."""
+    return tuple(rigid for contact in contacts.obstacles for rigid in contact.rigid)
+
+
+def with_own_bars(contacts: Contacts, model: Model, inputs: Inputs, mean_bar: Array) -> Contacts:
     """Return contacts with cotangents of friction and of the points at rest of their own, zero.
 
     `mean_bar` (T, B, 6) has the cotangents of the reactions.
@@ -51,7 +65,8 @@ def with_own_bars(contacts: Contacts, inputs: Inputs, mean_bar: Array) -> Contac
         return each._replace(friction_bar=np.zeros_like(each.friction_bar), bars=bars)
 
     def pushed(each: Any) -> Any:
-        return each._replace(pushes=tuple(pushes._replace(mean_bar=mean_bar) for pushes in each.pushes))
+        rigid = tuple(with_own_rigid_bars(bodies, model, mean_bar) for bodies in each.rigid)
+        return each._replace(pushes=tuple(p._replace(mean_bar=mean_bar) for p in each.pushes), rigid=rigid)
 
     obstacles = tuple(pushed(renewed(each)) for each in contacts.obstacles)
     return Contacts(obstacles, tuple(renewed(each) for each in contacts.bodies))
@@ -77,8 +92,20 @@ def add_friction_bars(contacts: Contacts, model: Model, coefficient_bar: Array) 
     for contact in contacts.obstacles:
         for k, obstacle in enumerate(model.obstacles):
             coefficient_bar[obstacle.condition] += contact.friction_bar[:, k].sum()
+            for skin in (skin for rigid in contact.rigid for skin in rigid.skin):
+                coefficient_bar[obstacle.condition] += skin.friction_bar[:, k].sum()
     for meeting in contacts.bodies:
         coefficient_bar[len(model.conditions)] += meeting.friction_bar.sum()
+
+
+def add_rigid_bars(contacts: Contacts, model: Model, inputs: Inputs, q_bar: Array, bar: Inputs) -> None:
+    """Add the cotangents of rigid bodies to those of the inputs, from that of the state at the start."""
+    for contact in contacts.obstacles:
+        for rigid in contact.rigid:
+            number_bar, waypoints_bar = start_bars(rigid, model, inputs.waypoints, q_bar)
+            number_bar[:, FRICTION] += contact.friction_bar[:, len(model.obstacles) :].sum(axis=0)
+            bar.rigid += number_bar
+            bar.waypoints += waypoints_bar
 
 
 def clear_slid(contacts: Contacts) -> None:
@@ -94,17 +121,24 @@ def has_slid(contacts: Contacts) -> bool:
 
 
 @kernel
-def touch_all(contacts: Contacts, run: NodeRun, at: NodeStep, u_next: Array, keep: bool, crew: Crew) -> None:
-    """Add the forces of contact to `run.force`, and write the springs after the substep."""
+def touch_all(contacts: Contacts, run: NodeRun, at: NodeStep, u_next: Array, step: int, keep: bool, crew: Crew) -> None:
+    """Add the forces of contact to `run.force`, write the springs after the substep, and move rigid bodies."""
+    place_all_bodies_each(contacts.obstacles, run, at.u, at.v, step, crew)
     touch_each(contacts.obstacles, run, at, u_next, keep, crew)
     encounter_each(contacts.bodies, run, at, u_next, keep, crew)
+    ride_all_each(contacts.obstacles, run, at, u_next, crew)
 
 
 @kernel
-def touch_all_vjp(contacts: Contacts, run: NodeRun, bars: NodeBars, at: NodeStep, reversed_: bool, crew: Crew) -> None:
+def touch_all_vjp(
+    contacts: Contacts, run: NodeRun, bars: NodeBars, at: NodeStep, step: int, reversed_: bool, crew: Crew
+) -> None:
     """Run the adjoint but for the cotangents of velocities; see `touch_vjp`."""
+    place_all_bodies_each(contacts.obstacles, run, at.u, at.v, step, crew)
+    ride_all_each_vjp(contacts.obstacles, run, bars, at, crew)
     touch_each_vjp(contacts.obstacles, run, bars, at, reversed_, crew)
     encounter_each_vjp(contacts.bodies, run, bars, at, reversed_, crew)
+    settle_all_poses_each(contacts.obstacles, run, bars, at, step, crew)
 
 
 @kernel

@@ -55,7 +55,7 @@ class Reactions(NamedTuple):
     now: Array  # (H, 3) X_n + u_n - C before a substep [m]
     before: Array  # (H, 3) momentum that a node would have after it without its boundary [kg m/s]
     sums: Array  # (H, 6) impulse and its moment, over the substeps so far
-    pushes: tuple[Pushes, ...]  # those of obstacles: one entry, or none
+    pushes: tuple[Pushes, ...]  # those of obstacles on soft surfaces, and on the skins of rigid bodies
     span: Array  # (2,) the first substep that the sums have, and the next one that they need
     mean: Array  # (T, B, 6) forces and moments of the boundaries in each control step
 
@@ -105,7 +105,8 @@ def make_reactions(
         part[order],
     )
     begin = np.append(np.unique(node, return_index=True)[1], len(node)).astype(np.int64)
-    n, pushes = len(node), tuple(p for each in obstacles for p in each.pushes)
+    n, skins = len(node), [skin for each in obstacles for rigid in each.rigid for skin in rigid.skin]
+    pushes = tuple(p for each in (*obstacles, *skins) for p in each.pushes)
     return (
         Reactions(
             node, begin, owner, in_3d(arm), part, _places(model, bits[node]), first,

@@ -17,19 +17,22 @@ from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.checkpoint import Plan
 from cqrun.engine.model import LossBar, Records, riding_at
 from cqrun.engine.reference.backward import ReferenceBackward
-from cqrun.engine.reference.contacts import clear_slid, has_slid, make_contacts
+from cqrun.engine.reference.contacts import clear_slid, has_slid, make_contacts, rigid_of
 from cqrun.engine.reference.corners import make_means
 from cqrun.engine.reference.ghost import GAMMA, Ghost, kernel_ghost, mean_modulus
 from cqrun.engine.reference.history import make_histories, put_histories, rows_of_state
 from cqrun.engine.reference.look import look
 from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, progress
+from cqrun.engine.reference.placing import note_all_poses
 from cqrun.engine.reference.points import riding_points
 from cqrun.engine.reference.reactions import Reactions, make_reactions, reactions_by_name, rows_of_impulses
 from cqrun.engine.reference.remarks import remarks_on, why_it_failed
 from cqrun.engine.reference.rest import rest_geometry
+from cqrun.engine.reference.rigid import meeting_error, poses_by_name, put_start
 from cqrun.engine.reference.setting import TILE, NodeRun, Nodes, NodeSetting, PointLoads, Tiles
 from cqrun.engine.reference.step import advance, note
 from cqrun.engine.reference.stretch import no_watch
+from cqrun.engine.rigid_model import ROWS, count_free
 from cqrun.engine.rollout import Rollout
 from cqrun.engine.setting import Crew
 from cqrun.forces.force import needs_velocity
@@ -146,7 +149,7 @@ class ReferenceRollout(Rollout):
     def _make_reactions(self) -> tuple[Reactions, ...]:
         """Return what boundaries do to the bodies, or none if it is not recorded."""
         patches = self.rest.patches
-        first = patches.n_nodes + -(-self.model.n_springs // 2)
+        first = self._rows_before_impulses()
         X, bits = patches.positions(self.model.dx), self.bundle.nodes.bits
         return make_reactions(self.model, bits, X, self.contacts.obstacles, first)
 
@@ -165,6 +168,8 @@ class ReferenceRollout(Rollout):
         for n in active[self.bundle.nodes.bits[active] != 0]:
             v[n] = project_all(self.conditions, n, int(self.bundle.nodes.bits[n]), tuple(v[n]))
         start[1, :n_nodes, :dim] = v
+        for rigid in rigid_of(self.contacts):
+            put_start(rigid, self.model, start)
         return start
 
     def _still_state(self) -> Array:
@@ -178,13 +183,19 @@ class ReferenceRollout(Rollout):
 
     def _rows_of_motion(self) -> int:
         """Return how many rows of a state are of nodes, springs and impulses."""
+        return self._rows_before_impulses() + rows_of_impulses(self.reactions)
+
+    def _rows_before_impulses(self) -> int:
+        """Return how many rows of a state are of nodes, springs and rigid bodies that move freely."""
         rows = self.rest.patches.n_nodes + -(-self.model.n_springs // 2)
-        return rows + rows_of_impulses(self.reactions)
+        return rows + ROWS * count_free(self.model.rigid)
 
     def _why_kept(self) -> str:
         """Return why the state before a substep does not follow from the one after it; empty if it does."""
         if self.histories:
             return "stresses have a history"
+        if count_free(self.model.rigid):
+            return "a rigid body moves freely"
         if self.bundle.setting.rates:
             return "stresses or forces depend on velocities"
         if self._refresh() < 1:
@@ -260,7 +271,8 @@ class ReferenceRollout(Rollout):
 
     def read_records(self) -> Records:
         """Return the probe's records so far, with the reactions of the boundaries that are recorded."""
-        return replace(super().read_records(), held=reactions_by_name(self.reactions, self.model))
+        held, rigid = reactions_by_name(self.reactions, self.model), rigid_of(self.contacts)
+        return replace(super().read_records(), held=held, rigid=poses_by_name(rigid, self.model))
 
     def held_at(self, control: int) -> dict[str, Array]:
         """Return force and moment of every recorded boundary in the control step that ended at `control`, by name."""
@@ -269,6 +281,8 @@ class ReferenceRollout(Rollout):
     def _record_start(self) -> None:
         crew = Crew(0, 1)
         note(self.bundle, self.start[0], self.start[1], self.probe, self.records[0], crew)
+        for contact in self.contacts.obstacles:
+            note_all_poses(contact, self.bundle, self.start[0], self.start[1], 0, crew)
 
     def unpack(self, q: Array, control: int) -> State:
         """Return the state of the particles for a state of the nodes (2, M + E + H, 4)."""
@@ -293,6 +307,9 @@ class ReferenceRollout(Rollout):
         reached = self.team.run(body)
         if self.bundle.stray[0] >= 0:
             self._fail(reached, states[reached - begin if keep else 0])
+        for rigid in rigid_of(self.contacts):
+            if rigid.met[0] >= 0:
+                raise meeting_error(rigid, self.model)
 
     def remarks(self) -> list[str]:
         """Return sentences about the most deformed particles, and a substep that is too long for them."""

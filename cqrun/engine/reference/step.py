@@ -22,6 +22,7 @@ from cqrun.engine.reference.look import look, look_vjp
 from cqrun.engine.reference.moves import bring_back_pairs, carry_each, carry_each_vjp
 from cqrun.engine.reference.nodes import begin_vjp, end_vjp, kick
 from cqrun.engine.reference.outside import spread_forces, spread_forces_vjp
+from cqrun.engine.reference.placing import note_all_poses_each, note_all_poses_each_vjp
 from cqrun.engine.reference.reactions import (
     add_up_each,
     before_each_vjp,
@@ -69,9 +70,9 @@ def advance(
     """Run substeps begin .. end from states[0]; return the substep reached.
 
     With `keep`, states[k] becomes the state after k substeps; otherwise states[0] is overwritten. A state has the
-    displacements and the velocities of the nodes, after them the springs of contact and the impulses of reactions, and
-    then the histories, (2, M + E + H, 4). Record at the end of every control step. Stop there, or every WATCH substeps,
-    if a node is not finite (`run.stray`).
+    displacements and the velocities of the nodes, after them the springs of contact, the rigid bodies that move freely
+    and the impulses of reactions, and then the histories, (2, M + E + H, 4). Record at the end of every control step.
+    Stop there, or every WATCH substeps, if a node is not finite (`run.stray`).
 
     Args:
         parts: groups with their first and last bodies.
@@ -98,7 +99,7 @@ def advance(
             keep_each(histories, run, run.q, u, v, crew)
         pull_each(loads, drive, run, at, crew)
         haunt_each(ghosts, run, u, crew)
-        touch_all(contacts, run, at, states[after, 0], keep, crew)
+        touch_all(contacts, run, at, states[after, 0], step, keep, crew)
         note_before_each(reactions, run, at, crew)
         kick(conditions, run, at, states[after, 0], crew)
         barrier(run.arrivals, crew.n_threads)
@@ -116,6 +117,7 @@ def advance(
                 return step + 1
             if ends:
                 note(run, states[after, 0], states[after, 1], probe, records[control + 1], crew)
+                note_all_poses_each(contacts.obstacles, run, states[after, 0], states[after, 1], step + 1, crew)
             else:
                 look(run, states[after, 0], states[after, 1], crew)
             watch(run, step + 1, crew)
@@ -195,6 +197,7 @@ def reverse(
         if (step + 1) % substeps == 0:
             u, v = states[after, 0], states[after, 1]
             note_vjp(run, bars, colours, u, v, probe, records_bar[control + 1], bars.u, bars.v, crew)
+            note_all_poses_each_vjp(contacts.obstacles, run, bars, u, v, step + 1, crew)
         if (step + 1) % substeps == 0 or step == end - 1:
             begin_control(drive, run, colours, control, crew)
         at = NodeStep(control, states[here, 0], states[here, 1], states[after, 1])
@@ -207,7 +210,7 @@ def reverse(
         press_each_vjp(pairs, run, bars, at.v, colours, crew)
         pull_each_vjp(loads, drive, levels_bar, run, bars, at, crew)
         haunt_each_vjp(ghosts, run, bars, crew)
-        touch_all_vjp(contacts, run, bars, at, reversed_, crew)
+        touch_all_vjp(contacts, run, bars, at, step, reversed_, crew)
         end_vjp(conditions, run, bars, at, reversed_, crew)
         barrier(run.arrivals, crew.n_threads)
         if reversed_:

@@ -9,9 +9,20 @@ from __future__ import annotations
 
 from typing import Any
 
-from cqrun.boundaries.solid import ZERO, cross, signed_distance
-from cqrun.engine.reference.contact import Contact, Obstacles, Pushes
+from cqrun.boundaries.solid import ZERO, cross
+from cqrun.engine.reference.contact import Contact, Pushes
 from cqrun.engine.reference.facet import row
+from cqrun.engine.reference.grip import (
+    beyond_margin,
+    clear_grip_each,
+    mark_poses_each,
+    moment_arm,
+    note_grip_each,
+    relative_velocity,
+    surface_at,
+    with_grip_force_bar,
+    with_grip_place_bar,
+)
 from cqrun.engine.reference.movers import (
     add_weight_bars,
     farthest,
@@ -35,17 +46,6 @@ FAR = 1e300
 
 
 @kernel
-def to_surface(obstacles: Obstacles, o: int, x: Any) -> Any:
-    """Return (d, n, alpha, t) of an obstacle at x: of the solid in which x is deepest."""
-    found = signed_distance(obstacles.solids, obstacles.begin[o], x)
-    for k in range(obstacles.begin[o] + 1, obstacles.begin[o + 1]):
-        other = signed_distance(obstacles.solids, k, x)
-        if other[0] < found[0]:
-            found = other
-    return found
-
-
-@kernel
 def watch(contact: Contact, run: NodeRun, u: Array, crew: Crew) -> bool:
     """Find the points near obstacles again if nodes have moved too far; return whether that was done."""
     near, points = contact.near, contact.surface.points
@@ -54,14 +54,14 @@ def watch(contact: Contact, run: NodeRun, u: Array, crew: Crew) -> bool:
     barrier(run.arrivals, crew.n_threads)
     for thread in range(crew.n_threads):
         most = max(most, near.moved[thread])
-    if not most > near.reach**2:
+    if not beyond_margin(contact.rigid, near, most):
         return False
     set_mark(points, u, near.mark, crew)
     lo, hi = share(len(near.flag), crew.thread, crew.n_threads)
     for s in range(lo, hi):
         x, least = add(row(contact.surface.rest, s), place(points, s, u, 1, 0)), FAR
         for o in range(len(contact.obstacles.dashpot)):
-            least = min(least, to_surface(contact.obstacles, o, x)[0])
+            least = min(least, surface_at(contact.rigid, contact.obstacles, o, x)[0])
         near.flag[s] = least < near.margin
     barrier(run.arrivals, crew.n_threads)
     if crew.thread == 0:
@@ -72,6 +72,7 @@ def watch(contact: Contact, run: NodeRun, u: Array, crew: Crew) -> bool:
                 count += 1
         near.count[0] = count
         list_movers(near.movers, points, near.flag)
+        mark_poses_each(contact.rigid)
     barrier(run.arrivals, crew.n_threads)
     return True
 
@@ -81,19 +82,19 @@ def press_point(contact: Contact, s: int, x: Any, v: Any, spring: Any, dt: float
     """Return the force on a point, its spring after the substep, and whether more than x matters."""
     surface, obstacles = contact.surface, contact.obstacles
     K, Z, h0 = surface.stiffness[s], surface.impedance[s], surface.onset
-    force, after, slid, deepest, normal, pressed, mu = ZERO, ZERO, False, 0.0, ZERO, 0.0, 0.0
+    force, after, slid, deepest, normal, pressed, mu, along = ZERO, ZERO, False, 0.0, ZERO, 0.0, 0.0, v
     for o in range(len(obstacles.dashpot)):
-        d, n, _, _ = to_surface(obstacles, o, x)
+        d, n, _, _ = surface_at(contact.rigid, obstacles, o, x)
         if d < 0.0:
-            C = Z * obstacles.dashpot[o]
-            N = push(K, C, h0, -d, -dot(n, v))
+            C, speed = Z * obstacles.dashpot[o], relative_velocity(contact.rigid, o, x, v)
+            N = push(K, C, h0, -d, -dot(n, speed))
             if N > 0.0:
                 force = add(force, scale(n, N))
                 slid = slid or C > 0.0
                 if obstacles.rubs[o] and -d > deepest:
-                    deepest, normal, pressed, mu = -d, n, N, obstacles.coefficient[o]
+                    deepest, normal, pressed, mu, along = -d, n, N, obstacles.coefficient[o], speed
     if deepest > 0.0:
-        after = rub(K, mu, pressed, dt, normal, v, spring)
+        after = rub(K, mu, pressed, dt, normal, along, spring)
         force = sub(force, scale(after, K))
         slid = True
     return force, after, slid
@@ -105,33 +106,33 @@ def note_push(pushes: Pushes, contact: Contact, s: int, x: Any, v: Any, after: A
     surface, obstacles, deepest, rubs = contact.surface, contact.obstacles, 0.0, -1
     K, Z, h0 = surface.stiffness[s], surface.impedance[s], surface.onset
     for o in range(len(obstacles.dashpot)):
-        d, n, _, _ = to_surface(obstacles, o, x)
+        d, n, _, _ = surface_at(contact.rigid, obstacles, o, x)
         if d < 0.0:
-            N = push(K, Z * obstacles.dashpot[o], h0, -d, -dot(n, v))
+            N = push(K, Z * obstacles.dashpot[o], h0, -d, -dot(n, relative_velocity(contact.rigid, o, x, v)))
             if N > 0.0:
-                add_push(pushes, s, o, x, scale(n, N))
+                add_push(pushes, s, o, moment_arm(contact.rigid, o, x), scale(n, N))
                 if obstacles.rubs[o] and -d > deepest:
                     deepest, rubs = -d, o
     if rubs >= 0:
-        add_push(pushes, s, rubs, x, scale(after, -K))
+        add_push(pushes, s, rubs, moment_arm(contact.rigid, rubs, x), scale(after, -K))
 
 
 @kernel
-def add_push(pushes: Pushes, s: int, o: int, x: Any, f: Any) -> None:
-    """Add a force at x, and its moment about the world's origin."""
-    moment = cross(x, f)
+def add_push(pushes: Pushes, s: int, o: int, a: Any, f: Any) -> None:
+    """Add a force with the arm a, and its moment."""
+    moment = cross(a, f)
     for d in range(3):
         pushes.sums[s, o, d] += f[d]
         pushes.sums[s, o, 3 + d] += moment[d]
 
 
 @kernel
-def force_bar_of(pushes: Pushes, force_bar: Any, o: int, x: Any, control: int) -> Any:
+def force_bar_of(pushes: Pushes, force_bar: Any, o: int, a: Any, control: int) -> Any:
     """Return the cotangent of an obstacle's force on a point at x: that of the point, and that of its reaction."""
     if pushes.owner[o] < 0:
         return force_bar
     R = pushes.mean_bar[control, pushes.owner[o]]
-    more = add((R[0], R[1], R[2]), cross((R[3], R[4], R[5]), x))
+    more = add((R[0], R[1], R[2]), cross((R[3], R[4], R[5]), a))
     return add(force_bar, scale(more, pushes.per))
 
 
@@ -145,7 +146,7 @@ def place_bar_of(pushes: Pushes, x_bar: Any, o: int, f: Any, control: int) -> An
 
 
 @kernel
-def same_force_bar(force_bar: Any, o: int, x: Any, control: int) -> Any:
+def same_force_bar(force_bar: Any, o: int, a: Any, control: int) -> Any:
     """Return what `force_bar_of` returns if no reactions are recorded."""
     return force_bar
 
@@ -178,6 +179,7 @@ def touch(contact: Contact, run: NodeRun, at: NodeStep, u_next: Array, keep: boo
         force, after, slid = press_point(contact, s, x, v, spring, run.setting.dt)
         put(contact.force, s, force)
         note_push_each(contact.pushes, contact, s, x, v, after)
+        note_grip_each(contact.rigid, contact, s, x, v, after)
         if obstacles.springs > 0:
             store_spring(u_next, at.v_next, first, s, after)
         if slid:
@@ -208,38 +210,43 @@ def press_point_vjp(
     surface, obstacles = contact.surface, contact.obstacles
     K, Z, h0 = surface.stiffness[s], surface.impedance[s], surface.onset
     x_bar, v_bar, spring_bar, deepest, rubs, pressed = ZERO, ZERO, ZERO, 0.0, -1, 0.0
+    clear_grip_each(contact.rigid, s)
     for o in range(len(obstacles.dashpot)):
-        d, n, _, _ = to_surface(obstacles, o, x)
+        d, n, _, _ = surface_at(contact.rigid, obstacles, o, x)
         if obstacles.rubs[o] and d < 0.0 and -d > deepest:
-            N = push(K, Z * obstacles.dashpot[o], h0, -d, -dot(n, v))
+            N = push(K, Z * obstacles.dashpot[o], h0, -d, -dot(n, relative_velocity(contact.rigid, o, x, v)))
             if N > 0.0:
                 deepest, rubs, pressed = -d, o, N
     for o in range(len(obstacles.dashpot)):
-        d, n, alpha, t = to_surface(obstacles, o, x)
+        d, n, alpha, t = surface_at(contact.rigid, obstacles, o, x)
         if not d < 0.0:
             continue
-        C, rate = Z * obstacles.dashpot[o], -dot(n, v)
-        if not push(K, C, h0, -d, rate) > 0.0:
+        C, speed = Z * obstacles.dashpot[o], relative_velocity(contact.rigid, o, x, v)
+        rate = -dot(n, speed)
+        N = push(K, C, h0, -d, rate)
+        if not N > 0.0:
             continue
-        N_bar, n_bar = 0.0, ZERO
-        own_bar = own_force_bar(contact.pushes, force_bar, o, x, control)
-        f = scale(n, push(K, C, h0, -d, rate))
+        N_bar, n_bar, speed_bar, f = 0.0, ZERO, ZERO, scale(n, N)
+        own_bar = own_force_bar(contact.pushes, force_bar, o, moment_arm(contact.rigid, o, x), control)
+        own_bar = with_grip_force_bar(contact.rigid, own_bar, o, x)
         if o == rubs:
             mu = obstacles.coefficient[o]
             out_bar = sub(after_bar, scale(own_bar, K))
-            f = sub(f, scale(rub(K, mu, pressed, dt, n, v, spring), K))
-            mu_bar, N_bar, n_bar, more, spring_bar = rub_vjp(K, mu, pressed, dt, n, v, spring, out_bar)
+            f = sub(f, scale(rub(K, mu, pressed, dt, n, speed, spring), K))
+            mu_bar, N_bar, n_bar, speed_bar, spring_bar = rub_vjp(K, mu, pressed, dt, n, speed, spring, out_bar)
             contact.friction_bar[s, o] += mu_bar
-            v_bar = add(v_bar, more)
-        N = push(K, C, h0, -d, rate)
+            v_bar = add(v_bar, speed_bar)
         N_bar += dot(n, own_bar)
         n_bar = add(n_bar, scale(own_bar, N))
         h_bar, rate_bar = push_vjp(K, C, h0, -d, rate, N_bar)
         v_bar = sub(v_bar, scale(n, rate_bar))
-        n_bar = sub(n_bar, scale(v, rate_bar))
+        speed_bar = sub(speed_bar, scale(n, rate_bar))
+        n_bar = sub(n_bar, scale(speed, rate_bar))
         turned = sub(sub(n_bar, scale(n, dot(n, n_bar))), scale(t, dot(t, n_bar)))
-        x_bar = add(x_bar, sub(scale(turned, alpha), scale(n, h_bar)))
-        x_bar = own_place_bar(contact.pushes, x_bar, o, f, control)
+        y_bar = sub(scale(turned, alpha), scale(n, h_bar))
+        x_bar = own_place_bar(contact.pushes, add(x_bar, y_bar), o, f, control)
+        arm_bar = own_place_bar(contact.pushes, ZERO, o, f, control)
+        x_bar = with_grip_place_bar(contact.rigid, s, o, x, x_bar, f, y_bar, n, n_bar, speed_bar, arm_bar)
     return x_bar, v_bar, spring_bar
 
 
