@@ -17,6 +17,7 @@ from cqrun.build.initial_motion import InitialMotion
 from cqrun.build.particles import Particles, stress_key
 from cqrun.build.regions import boundary
 from cqrun.build.rest_shape import Geometry
+from cqrun.build.rigid_values import RigidValues
 from cqrun.build.values import Values, collect, updated
 from cqrun.engine.model import Inputs
 from cqrun.errors import UsageError
@@ -43,7 +44,7 @@ class Assembly:
     def __init__(self, scene: Scene, particles: Particles, sequence: int = 0) -> None:
         self.scene, self.particles, self.sequence = scene, particles, sequence
         self.actuation, self.geometry = Actuation(scene, particles), Geometry(scene, particles)
-        self.initial_motion = InitialMotion(scene, particles)
+        self.initial_motion, self.rigid = InitialMotion(scene, particles), RigidValues(scene, particles)
         self.loads: list[tuple[str, Load]] = [
             (f"loads.{name}.{chosen.name}", chosen.value)  # type: ignore[misc]
             for name, chosen in scene.loads.items()
@@ -135,7 +136,8 @@ class Assembly:
         return Inputs(
             state, fields, self._terms(values), drive.activations(self.sequence, values), drive.strengths(values),
             self._coefficients(values), drive.weights(values), drive.rest_lengths(x), self._moves(values),
-            self.geometry.surface_at_rest(values), drive.frictions(values), self.geometry.changes(values),
+            self.geometry.surface_at_rest(values), drive.frictions(values), *self.rigid.inputs(values),
+            shaped=self.geometry.changes(values),
         )  # fmt: skip
 
     def gradient(self, values: Values, bar: Inputs) -> dict[str, Array]:
@@ -153,6 +155,7 @@ class Assembly:
         self._coefficients_vjp(values, bar, out)
         self._moves_vjp(bar, out)
         self.geometry.surface_at_rest_vjp(values, bar.surface, out)
+        self.rigid.inputs_vjp(values, bar.rigid, bar.waypoints, out)
         return out
 
     # --- masses and loads -------------------------------------------------------------------------------------

@@ -19,9 +19,12 @@ from cqrun.build.assembly import Assembly
 from cqrun.build.limits import Limit, contact_limit
 from cqrun.build.particles import Particles
 from cqrun.build.regions import boundary
+from cqrun.build.rigid import rigid_models, rigid_overlaps
 from cqrun.build.surfaces import BodySurface, is_obstacle, surface_of, touches
 from cqrun.engine.model import ConditionModel
-from cqrun.engine.reference.contact import contact_square
+from cqrun.engine.reference.contact import contact_square, in_3d
+from cqrun.engine.reference.poses import first_poses
+from cqrun.engine.rigid_model import RigidModel
 from cqrun.engine.surface import MeetingModel, ObstacleModel, SurfaceModel
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.materials.moduli import moduli_at
@@ -44,6 +47,7 @@ class ContactParts(NamedTuple):
     obstacles: tuple[ObstacleModel, ...]
     meeting: MeetingModel | None
     conditions: tuple[ConditionModel, ...]
+    rigid: tuple[RigidModel, ...]
 
 
 def contact_parts(
@@ -52,15 +56,34 @@ def contact_parts(
     """Return what a scene's bodies touch with and touch.
 
     Raises:
-        SceneError: a body starts inside an obstacle.
+        SceneError: a body starts inside an obstacle or a rigid body.
     """
     if not touches(scene):
-        return ContactParts(None, (), None, conditions)
+        return ContactParts(None, (), None, conditions, ())
     surface, obstacles = surface_model(scene, particles, assembly), obstacle_models(scene, conditions)
-    if problems := starts_inside(scene, particles, obstacles, conditions):
+    rigid = rigid_models(scene, particles, stiffest_contact(scene, particles, assembly)) if scene.rigid else ()
+    problems = starts_inside(scene, particles, obstacles, conditions)
+    if problems := [*problems, *_rigid_overlaps(scene, particles, assembly, rigid)]:
         raise SceneError(problems)
     held = (replace(c, nodes=np.zeros_like(c.nodes)) if c.spec.is_obstacle else c for c in conditions)
-    return ContactParts(surface, obstacles, _meeting(scene), tuple(held))
+    return ContactParts(surface, obstacles, _meeting(scene), tuple(held), rigid)
+
+
+def _rigid_overlaps(
+    scene: Scene, particles: Particles, assembly: Assembly, rigid: tuple[RigidModel, ...]
+) -> list[Problem]:
+    if not rigid:
+        return []
+    surface, (number, waypoints) = surface_of(scene, particles), assembly.rigid.inputs({})
+    owner = [particles.names[k] for k in np.searchsorted(surface.begin, np.arange(len(surface.x)), side="right") - 1]
+    return rigid_overlaps(scene, rigid, first_poses(rigid, number, waypoints), in_3d(surface.x), owner)
+
+
+def stiffest_contact(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[float, float]:
+    """Return the largest stiffness [Pa/m] and impedance [Pa s/m] of contact per area, of all soft bodies."""
+    moduli = [_moduli(particles, assembly, name) for name in particles.names]
+    young, impedance = (max(float(each.max()) for each in column) for column in zip(*moduli, strict=True))
+    return PENALTY * young / scene.world.dx, impedance
 
 
 def _meeting(scene: Scene) -> MeetingModel | None:
@@ -195,9 +218,12 @@ def contact_limits(
     square, slowest = particles.found[key]
     square *= float((base / density).max())
     limits, names = [], [name for name in scene.boundaries if is_obstacle(scene, name)]
-    if names:
-        dashpot = max(getattr(scene.boundaries[name].value, "dashpot", 0.0) for name in names)
-        part = f"boundaries.{names[0]}.{scene.boundaries[names[0]].name}"
+    parts: dict[str, Any] = {
+        f"boundaries.{name}.{scene.boundaries[name].name}": scene.boundaries[name].value for name in names
+    }
+    parts |= {f"rigid.{name}": body for name, body in scene.rigid.items()}
+    if parts:
+        dashpot, part = max(getattr(each, "dashpot", 0.0) for each in parts.values()), next(iter(parts))
         limits.append(contact_limit(part, wave, square, dashpot * slowest * square))
     if scene.bodies_meet:
         k = {name: _moduli(particles, assembly, name)[0] for name in particles.names}

@@ -19,7 +19,7 @@ from cqrun.build.check_material import material_warnings, relaxation_problems
 from cqrun.build.check_routes import route_warnings, spool_problems
 from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.conditions import all_conditions
-from cqrun.build.contact import contact_limits, contact_parts
+from cqrun.build.contact import contact_limits, contact_parts, stiffest_contact
 from cqrun.build.history import fields_of
 from cqrun.build.limits import (
     MOST_SUBSTEPS,
@@ -35,6 +35,7 @@ from cqrun.build.limits import (
 from cqrun.build.particles import Particles, sample, stress_key
 from cqrun.build.raster import Raster, rasterised
 from cqrun.build.reactions import centers, needed_boundaries
+from cqrun.build.rigid import rigid_limits, rigid_problems
 from cqrun.build.volumes import averages, locking_bodies
 from cqrun.engine.model import GroupModel, Model
 from cqrun.engine.reference.patches import count_nodes
@@ -82,6 +83,8 @@ def build(scene: Scene) -> Built:
     particles = sample(scene)
     if problems := [*design_problems(scene, particles), *spool_problems(scene)]:
         raise SceneError(problems)
+    if problems := [Problem(scene.where(path), path, message) for path, message in rigid_problems(scene)]:
+        raise SceneError(problems)
     assembly = Assembly(scene, particles)
     limits = _possible(scene, _stiffest(scene, particles, assembly))
     warnings = [
@@ -109,7 +112,7 @@ def build(scene: Scene) -> Built:
     conditions = all_conditions(scene)
     if problems := [*frame_problems(scene, particles, conditions), *relaxation_problems(scene)]:
         raise SceneError(problems)
-    surface, obstacles, meeting, conditions = contact_parts(scene, particles, assembly, conditions)
+    surface, obstacles, meeting, conditions, rigid = contact_parts(scene, particles, assembly, conditions)
     rasters = {name: rasterised(body, scene.world.dx) for name, body in scene.bodies.items()}
     warnings += [*grid_warnings(scene, particles, conditions, rasters), *alignment_warnings(scene, particles)]
     warnings += route_warnings(scene, particles, assembly.actuation.every)
@@ -134,6 +137,7 @@ def build(scene: Scene) -> Built:
         surface=surface,
         obstacles=obstacles,
         meeting=meeting,
+        rigid=rigid,
         offset=offset,
         n_nodes=0 if offset is None else count_nodes(particles.layout, particles.x, scene.world.dx, offset),
         reactions=needed_boundaries(scene),
@@ -260,6 +264,10 @@ def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict
             lightest /= particles.spacing[name] ** scene.dim
         limits += _push_limits(scene, actuation, values, name)
         limits += _spring_limits(scene, particles, actuation, values, name, lightest)
+    if scene.rigid:
+        softest = min(limits, key=lambda limit: limit.dt)
+        stiffest = stiffest_contact(scene, particles, assembly)
+        limits += rigid_limits(scene, particles, softest, stiffest, assembly.rigid.masses(values))
     return limits
 
 

@@ -29,7 +29,7 @@ def boundaries_by_user(scene: Scene) -> Iterator[tuple[str, tuple[str, ...]]]:
 def needed_boundaries(scene: Scene) -> tuple[str, ...]:
     """Return the boundaries that terms and recordings need, in the order of the scene."""
     needed = {name for _, names in boundaries_by_user(scene) for name in names}
-    return tuple(name for name in scene.boundaries if name in needed)
+    return tuple(name for name in (*scene.boundaries, *scene.rigid) if name in needed)
 
 
 def centers(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> dict[str, Array]:

@@ -42,7 +42,7 @@ class BodySurface(NamedTuple):
 def touches(scene: Scene) -> bool:
     """Return whether bodies can touch something."""
     obstacles = scene.world.frame == "reference" and any(is_obstacle(scene, name) for name in scene.boundaries)
-    return obstacles or scene.bodies_meet
+    return obstacles or scene.bodies_meet or (scene.world.frame == "reference" and bool(scene.rigid))
 
 
 def is_obstacle(scene: Scene, name: str) -> bool:

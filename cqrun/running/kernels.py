@@ -19,6 +19,7 @@ from typing import Any
 from cqrun.build.model import Built
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar
+from cqrun.engine.rigid_model import count_free
 from cqrun.errors import RolloutError
 from cqrun.fingerprint import set_kernel_cache
 from cqrun.numerics.compile import CACHE_PROBLEMS
@@ -44,9 +45,12 @@ def composition(built: Built, *, adjoint: bool) -> str:
     planes = (
         [condition.spec.name for condition in model.conditions]
         + ["contact"] * bool(model.obstacles)
+        + ["rigid bodies"] * bool(model.rigid)
+        + ["skins"] * bool(model.obstacles and count_free(model.rigid))
         + ["meeting bodies"] * (model.meeting is not None)
         + ["reactions"] * bool(model.reactions)
         + ["reactions of obstacles"] * any(c.spec.is_obstacle and c.name in model.reactions for c in model.conditions)
+        + ["reactions of rigid bodies"] * any(body.name in model.reactions for body in model.rigid)
     )
     kind = "forward and backward" if adjoint else "forward"
     frame = (", reference frame" if model.frame == "reference" else "") + (

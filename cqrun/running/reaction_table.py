@@ -1,8 +1,9 @@
-"""Write reactions.csv: the force and the moment with which each boundary acts on the bodies, for each control step.
+"""Write reactions.csv: the force and the moment with which each boundary and rigid body acts on the soft bodies.
 
 time                              end of the control step [s]; all other columns are means over the step
 <boundary>.force_x, ...           [N; 2D: N/m]
-<boundary>.moment[_x, ...]        about the centre of what a clamp holds at rest, or the world's origin [N m; 2D: N]
+<boundary>.moment[_x, ...]        about the centre of what a clamp holds at rest, that of a rigid body, or the world's
+                                  origin [N m; 2D: N]
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ from cqrun.store.reactions import BoundaryForce, Reactions
 
 
 def with_reactions(built: Built) -> Built:
-    """Return a scene whose runs record the reactions of all boundaries, in the frame that knows them."""
-    names = tuple(dict.fromkeys(condition.name for condition in built.model.conditions))
+    """Return a scene whose runs record the reactions of all boundaries and rigid bodies, if the frame knows them."""
+    names = dict.fromkeys([plane.name for plane in built.model.conditions])
+    names |= dict.fromkeys(body.name for body in built.model.rigid)
     if built.model.frame != "reference":
         return built
-    return replace(built, model=replace(built.model, reactions=names))
+    return replace(built, model=replace(built.model, reactions=tuple(names)))
 
 
 def write_reaction_table(path: Path, reactions: Reactions) -> None:

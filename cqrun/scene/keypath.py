@@ -16,8 +16,8 @@ KEYED_BY_PATHS = {"unknowns", "truth", "overrides"}
 
 
 NAMED = {
-    "bodies", "regions", "boundaries", "loads", "forces", "actuators", "observers", "goals", "objective", "unknowns",
-    "constraints", "data.recordings", "activation.signals",
+    "bodies", "regions", "boundaries", "rigid", "loads", "forces", "actuators", "observers", "goals", "objective",
+    "unknowns", "constraints", "data.recordings", "activation.signals",
 }  # fmt: skip
 """Mappings whose keys are names that a user gives: `-o entry=null` removes an entry."""
 

@@ -41,7 +41,7 @@ def findings_between(scene: Sections) -> list[InitErrorDetails]:
         for loc, part in parts(scene)
         for place, message in part.dim_problems(scene.dim)
     ]
-    named = [*_faces(scene), *_names(scene), *findings_of_regions(scene), *_columns(scene)]
+    named = [*_faces(scene), *_names(scene), *_rigid_names(scene), *findings_of_regions(scene), *_columns(scene)]
     placed = [*_goals_unused(scene), *_goals_outside(scene), *_positions_outside(scene)]
     return [*found, *named, *_signals(scene), *_controller(scene), *placed, *_skipped(scene)]
 
@@ -60,7 +60,7 @@ def _names(scene: Sections) -> Iterator[InitErrorDetails]:
         "goal": (NamesGoal, scene.goals),
         "actuator": (NamesActuator, scene.actuators),
         "force": (NamesForce, scene.forces),
-        "boundary": (NamesBoundary, scene.boundaries),
+        "boundary": (NamesBoundary, {**scene.boundaries, **scene.rigid}),
         "measured quantity": (NamesMeasure, scene.measure),
     }
     for kind, (mark, legal) in kinds.items():
@@ -68,6 +68,14 @@ def _names(scene: Sections) -> Iterator[InitErrorDetails]:
             if found.value not in legal:
                 message = unknown(kind, found.value, list(legal))
                 yield finding(message, found.loc, kind=KEY if found.at_key else VALUE)
+
+
+def _rigid_names(scene: Sections) -> Iterator[InitErrorDetails]:
+    """Yield rigid bodies with the name of a boundary or a soft body: terms and tables name all of them alike."""
+    for name in scene.rigid:
+        for kind, others in (("boundary", scene.boundaries), ("body", scene.bodies)):
+            if name in others:
+                yield finding(f"a {kind} has this name too: give the rigid body another one", ("rigid", name), kind=KEY)
 
 
 def _columns(scene: Sections) -> Iterator[InitErrorDetails]:

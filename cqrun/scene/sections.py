@@ -16,6 +16,7 @@ from cqrun.scene.control import Episodes, Goal
 from cqrun.scene.data import Data, Recording, Synthetic, Unknown
 from cqrun.scene.fields import Memory, Name, Seed
 from cqrun.scene.load_path import PathValues
+from cqrun.scene.rigid import RigidBody
 from cqrun.scene.world_and_time import Time, TrajectoryFile, World
 
 if TYPE_CHECKING:
@@ -49,6 +50,10 @@ class Sections(Spec):
     boundaries: dict[Name, Annotated[Chosen[Plugin], Choice("boundary")]] = Field(
         description="Name -> boundary; if several hold a node, they act in this order", default_factory=dict
     )
+    rigid: dict[Name, RigidBody] = Field(
+        description="Name -> rigid body: it stays, follows a path or moves freely, and soft bodies touch it",
+        default_factory=dict, exclude_if=lambda rigid: not rigid,
+    )  # fmt: skip
     loads: dict[Name, Annotated[Chosen[Plugin], Choice("load")]] = Field(
         description="Name -> load", default_factory=dict
     )

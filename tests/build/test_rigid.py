@@ -1,0 +1,193 @@
+"""Rigid bodies of a scene: what is refused, their mass properties, and the way of values to the engine and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cqrun.build.inertia import mass_properties, principal
+from cqrun.build.model import build
+from cqrun.engine.model import Inputs
+from cqrun.engine.rigid_model import FORCE, INERTIA, MASS, OFFSET, SPIN
+from cqrun.errors import SceneError
+from cqrun.geometry.ball import Ball
+from cqrun.geometry.box import Box
+from cqrun.geometry.cylinder import Cylinder
+from cqrun.scene.load import load_scene
+from cqrun.scene.paths import leaf
+
+MATERIAL = {"density": 1000, "elastic": {"neo_hookean": {"youngs_modulus": 1e4, "poissons_ratio": 0.3}}}
+BLOCK = {"shape": {"box": {"corner": [0.2, 0.1], "size": [0.2, 0.1]}}, "particles_per_cell": 4, "material": MATERIAL}
+BALL = {"shape": {"ball": {"center": [0.3, 0.3], "radius": 0.04}}, "density": 500, "motion": "free", "friction": 0.3}
+PATH = [{"time": 0.05, "displacement": [0.0, -0.01]}, {"time": 0.1, "rotation": [0.2]}]
+JAW = {"shape": {"box": {"corner": [0.5, 0.1], "size": [0.1, 0.1]}}, "path": PATH}
+
+
+def scene(**changes: Any) -> dict[str, Any]:
+    """Return a soft block with a free ball above it, and a jaw beside it."""
+    return {
+        "cqrun": 1,
+        "world": {"size": [1, 1], "dx": 0.02, "gravity": [0, -9.81]},
+        "bodies": {"block": BLOCK},
+        "boundaries": {"floor": {"friction": {"face": "y_min", "thickness": 0.1, "coefficient": 0.5}}},
+        "rigid": {"ball": BALL, "jaw": JAW},
+        "time": {"duration": 0.1, "control_step": 0.05},
+        **changes,
+    }
+
+
+def with_ball(**fields: Any) -> dict[str, Any]:
+    """Return the scene with other fields of the ball; None removes one."""
+    ball = {key: value for key, value in (BALL | fields).items() if value is not None}
+    return scene(rigid={"ball": ball, "jaw": JAW})
+
+
+def with_path(*points: dict[str, Any]) -> dict[str, Any]:
+    """Return the scene with another path of the jaw."""
+    return scene(rigid={"jaw": JAW | {"path": list(points)}})
+
+
+REFUSED = {
+    "no mass": (with_ball(density=None), "rigid.ball.motion: moves freely, so it needs a `density` or a `mass`"),
+    "two masses": (with_ball(mass=1.0), "rigid.ball: has a density and a mass: give one of them"),
+    "a spin of a fixed body": (
+        with_ball(motion="fixed", spin=[1.0]),
+        "rigid.ball.spin: has no effect on a body that does not move freely: set `motion: free`, or remove it",
+    ),
+    "a jump": (
+        with_path({"time": 0.1}, {"time": 0.1, "displacement": [0.1, 0.0]}),
+        "rigid.jaw.path.1.time: a path cannot jump: it has two waypoints at 0.1 s; give the move some time",
+    ),
+    "a path back in time": (with_path({"time": 0.1}, {"time": 0.05}), "times must increase along a path"),
+    "a path of a free body": (
+        scene(rigid={"ball": BALL | {"path": PATH}}),
+        "rigid.ball.path: moves freely, so it cannot follow a path: remove one of the two",
+    ),
+    "a rotation vector in 2D": (
+        with_path({"time": 0.1, "rotation": [0.0, 0.0, 1.0]}),
+        "rigid.jaw.path.0.rotation: must have one entry in this 2D world, has 3",
+    ),
+    "inside a soft body": (
+        with_ball(offset=[0.0, -0.08]),
+        "rigid.ball: starts 0.02 m inside the soft body 'block', at (0.3, 0.2) m: contact would throw them apart",
+    ),
+    "inside a rigid body": (
+        with_ball(offset=[0.2, -0.1]),
+        "rigid.ball: starts inside the rigid body 'jaw', and rigid bodies do not feel each other: move one of them",
+    ),
+    "the other frame": (
+        scene(world={"size": [1, 1], "dx": 0.02, "frame": "updated"}),
+        "rigid: rigid bodies are touched in the reference frame alone: set `world.frame: reference`",
+    ),
+    "float32": (scene(precision="float32"), "precision: is float32, too coarse for the small turns of 'ball'"),
+    "an infinite body": (
+        with_ball(shape={"half_space": {"point": [0, 0.5], "normal": [0, -1]}}),
+        "rigid.ball.shape: is infinite, so the body has no mass and cannot move freely: bound it",
+    ),
+    "an unknown surface": (
+        with_ball(shape={"difference": {"shapes": [BALL["shape"], {"ball": {"center": [0.3, 0.3], "radius": 0.02}}]}}),
+        "rigid.ball.shape: the distance from the surface of 'difference' is not known, so soft bodies cannot touch it",
+    ),
+    "the name of a boundary": (scene(rigid={"floor": BALL}), "rigid.floor: a boundary has this name too"),
+    "a start at rest": (
+        scene(start="equilibrium"), "start: an equilibrium does not feel rigid bodies yet (ball, jaw): remove `start`",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_is_refused(name):
+    data, message = REFUSED[name]
+    with pytest.raises(SceneError) as raised:
+        build(load_scene(data))
+    assert message in str(raised.value)
+
+
+def test_scenes_without_rigid_bodies_do_not_mention_them():
+    data = scene()
+    del data["rigid"]
+    plain = load_scene(data)
+    assert "rigid" not in plain.model_dump(exclude_none=True)
+    assert build(plain).model.rigid == ()
+
+
+def test_a_free_body_bounds_the_substep_with_its_mass():
+    limits = {}
+    for density in (500, 5):
+        built = build(load_scene(with_ball(density=density)))
+        limits[density] = next(limit.dt for limit in built.limits if limit.part == "rigid.ball")
+    assert limits[5] < 0.2 * limits[500]
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Ball(center=[0.1, 0.2, 0.3], radius=0.05),
+        Box(corner=[0.0, 0.1, 0.2], size=[0.1, 0.2, 0.3]),
+        Cylinder(start=[0.0, 0.0, 0.0], end=[0.0, 0.0, 0.2], radius=0.1),
+    ],
+)
+def test_mass_properties(shape):
+    """Those of textbooks; a lattice, for shapes without a formula, comes within 1 %."""
+    found = mass_properties(shape, list(shape.solids()))
+    if isinstance(shape, Ball):
+        volume, inertia = 4 / 3 * np.pi * 0.05**3, 0.4 * 0.05**2 * np.ones(3)
+    elif isinstance(shape, Box):
+        volume, inertia = 0.1 * 0.2 * 0.3, np.array([0.2**2 + 0.3**2, 0.1**2 + 0.3**2, 0.1**2 + 0.2**2]) / 12
+    else:
+        volume, inertia = np.pi * 0.1**2 * 0.2, np.array([0.1**2 / 4 + 0.2**2 / 12] * 2 + [0.1**2 / 2])
+    exact = 1e-12
+    assert found.volume == pytest.approx(volume, rel=exact)
+    np.testing.assert_allclose(np.diag(found.inertia), volume * inertia, rtol=exact)
+    np.testing.assert_allclose(found.center, np.mean(shape.bounds(), axis=0), rtol=1e-12, atol=1e-12)
+    counted = mass_properties(shape, [])
+    np.testing.assert_allclose(counted.inertia, found.inertia, rtol=0, atol=0.01 * np.abs(found.inertia).max())
+    np.testing.assert_allclose(counted.center, found.center, rtol=0, atol=1e-3)
+    moments, axes = principal(found.inertia)
+    np.testing.assert_allclose(axes.T @ np.diag(moments) @ axes, found.inertia, rtol=0, atol=1e-3 * moments.max())
+
+
+def test_numbers_reach_the_engine():
+    built = build(load_scene(with_ball(offset=[0.01, 0.02], spin=[3.0], force=[0.5, 0.0])))
+    ball, jaw = built.assembly.inputs({}).rigid
+    mass = 500 * np.pi * 0.04**2
+    np.testing.assert_allclose(ball[MASS], mass)
+    np.testing.assert_allclose(ball[INERTIA], mass * 0.04**2 / 2)
+    np.testing.assert_allclose(ball[FORCE], [0.5, -9.81 * mass, 0.0])
+    np.testing.assert_allclose(ball[OFFSET], [0.01, 0.02, 0.0])
+    np.testing.assert_allclose(ball[SPIN], [0.0, 0.0, 3.0])
+    assert not jaw.any()
+    np.testing.assert_allclose(built.assembly.inputs({}).waypoints, [[0, -0.01, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.2]])
+
+
+PATHS = (
+    "rigid.ball.density", "rigid.ball.friction", "rigid.ball.offset.0", "rigid.ball.velocity.1", "rigid.ball.spin.0",
+    "rigid.ball.torque.0", "rigid.ball.force.1", "rigid.jaw.offset.1", "rigid.jaw.path.0.displacement.1",
+    "rigid.jaw.path.1.rotation.0", "world.gravity.1",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_gradients_by_key_path_are_the_adjoint_of_values(path, rng):
+    loaded = load_scene(scene())
+    built = build(loaded)
+    info = leaf(loaded, path)
+    assert info.differentiable
+    value = float(info.value) + 0.1
+    inputs = built.assembly.inputs({path: np.array(value)})
+    bar = Inputs.zeros_like(inputs)
+    bar.rigid[:], bar.waypoints[:] = rng.normal(size=bar.rigid.shape), rng.normal(size=bar.waypoints.shape)
+    gradient = built.assembly.gradient({path: np.array(value)}, bar)[path]
+    ends = [built.assembly.inputs({path: np.array(value + h)}) for h in (-1e-4, 1e-4)]
+    slope = sum(
+        ((getattr(ends[1], kind) - getattr(ends[0], kind)) * getattr(bar, kind)).sum() / 2e-4
+        for kind in ("rigid", "waypoints")
+    )
+    assert gradient == pytest.approx(slope, rel=1e-6)
+    assert slope != 0
+
+
+def test_a_shape_of_a_rigid_body_cannot_be_an_unknown():
+    assert not leaf(load_scene(scene()), "rigid.ball.shape.ball.radius").differentiable
