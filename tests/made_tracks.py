@@ -11,7 +11,7 @@ from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, N_WEIGHTS, made_m
 from cqrun.observers.track import Track, TrackBar
 
 FIELDS = ("x", "v", "C", "F", "activation", "design", "held", "strength", "rest_length", "terms", "weights", "rest",
-          "friction")  # fmt: skip
+          "friction", "rigid")  # fmt: skip
 
 
 def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
@@ -29,6 +29,7 @@ def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
     return Track(
         *motion, activation, goals, CONTROL_STEP, 2.0 + 0.1 * design, a_reaction(dim, rng), strength, rest, terms,
         0.5 + rng.uniform(size=N_WEIGHTS), made_matter(dim).x, np.linspace(0.2, 0.5, N_ACTUATORS + 1),
+        {"stone": rng.normal(size=(N_CONTROLS + 1, 6 if dim == 2 else 12))},
     )  # fmt: skip
 
 
@@ -50,9 +51,10 @@ def adjoint_error(value: Any, value_vjp: Any, track: Track, rng: np.random.Gener
 
 def products_of(bar: TrackBar, directions: dict[str, Any]) -> list[np.ndarray]:
     """Return the products of a cotangent's numbers with those of the directions."""
-    plain = [name for name in FIELDS if name not in ("held", "terms")]
+    plain = [name for name in FIELDS if name not in ("held", "terms", "rigid")]
     parts = [bar_of(bar, name, directions[name].shape) * directions[name] for name in plain]
-    parts += [part * directions["held"][name] for name, part in (bar.held or {}).items()]
+    for kind, by_name in bar.by_name.items():
+        parts += [part * directions[kind][name] for name, part in by_name.items()]
     for group, along in zip(bar.terms or [], directions["terms"], strict=False):
         parts += [part * direction for part, direction in zip(group, along, strict=True)]
     return parts

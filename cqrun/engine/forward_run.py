@@ -180,6 +180,10 @@ class ForwardRun(ABC):
         """Return force and moment of every recorded boundary in the control step that ended at `control`, by name."""
         return {}
 
+    def rigid_at(self, control: int) -> dict[str, Array]:
+        """Return what is seen of every rigid body at a control step, by name; see `Records.rigid`."""
+        return {}
+
     def advance(self, begin: int, end: int, states: Array, *, keep: bool) -> None:
         """Run substeps begin .. end from states[0]; with `keep`, states[k] becomes the state after k of them.
 

@@ -357,6 +357,12 @@ class Records:
         for name, more in other.rigid.items():
             self.rigid[name] += more
 
+    def add_by_name(self, more: Mapping[str, Mapping[str, Array]]) -> None:
+        """Add cotangents of `held` and `rigid`, each by the names of boundaries and rigid bodies."""
+        for kind, arrays in more.items():
+            for name, array in arrays.items():
+                getattr(self, kind)[name] += array
+
     def to_rows(self, table: StateTable) -> Array:
         """Return kernel rows (T + 1, rows, K); missing histories count as zero."""
         out = np.zeros((len(self.x), table.n_rows, self.x.shape[1]), self.x.dtype)

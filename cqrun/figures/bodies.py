@@ -12,6 +12,7 @@ from cqrun.errors import UsageError
 from cqrun.figures.colours import colours
 from cqrun.figures.dots import COVER_3D, Dots, OutlinedDots, add_dots, far_to_near
 from cqrun.figures.quantities import length_unit
+from cqrun.figures.rigid import extent_of, outlines, plot_rigid
 from cqrun.figures.run_data import TRAJECTORY, RunData
 from cqrun.figures.scenery import boundary_section, frame_axes, goals, plot_boundaries, plot_goals, window_with_goals
 from cqrun.figures.style import GREY, new_figure
@@ -19,6 +20,7 @@ from cqrun.figures.views import View, of_equal_width, views
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 from cqrun.store.frames import Frames
+from cqrun.store.rigid_motion import RigidMotions
 from cqrun.units import Unit
 
 if TYPE_CHECKING:
@@ -43,6 +45,8 @@ class Snapshot:
         x: positions (N, D) [m].
         dots: the dots that fill the bodies.
         provenance: attributes of the trajectory, with the goals and courses of this run.
+        step: its control step.
+        rigid: how rigid bodies move in the run.
     """
 
     frame: int
@@ -50,6 +54,8 @@ class Snapshot:
     x: Array
     dots: Dots
     provenance: dict[str, Any] = field(default_factory=dict)
+    step: int = 0
+    rigid: RigidMotions | None = None
 
 
 # --- data ---------------------------------------------------------------------------------------------------
@@ -65,9 +71,9 @@ def snapshots(frames: Frames, shown: Sequence[int] | None = None) -> list[Snapsh
     if count == 0:
         raise UsageError(f"{TRAJECTORY}: no frame in it yet, so there is nothing to draw")
     rest = frames.read("x", 0)
-    dots = Dots.of(rest, frames.bodies).thinned(rest, frames.bodies, MOST_DOTS)
+    dots, rigid = Dots.of(rest, frames.bodies).thinned(rest, frames.bodies, MOST_DOTS), frames.read_rigid()
     return [
-        Snapshot(k, float(frames.time[k]), frames.read("x", k), dots, frames.provenance)
+        Snapshot(k, float(frames.time[k]), frames.read("x", k), dots, frames.provenance, int(frames.step[k]), rigid)
         for k in (sorted({0, count // 2, count - 1}) if shown is None else shown)
     ]
 
@@ -124,6 +130,7 @@ def draw_bodies(run: RunData) -> Figure:
 def window_of(scene: Scene, shots: Sequence[Snapshot], look: View) -> Array:
     """Return the window that contains the particles of some snapshots, and their goals (2, 2) [m]."""
     plane = np.concatenate([shot.x for shot in shots]) @ look.axes.T
+    plane = np.concatenate([plane, *(extent_of(scene, shot.rigid, [shot.step], look) for shot in shots)])
     return window_with_goals(plane, look, goals(scene, shots[0].provenance), shots[0].dots.size)
 
 
@@ -161,6 +168,8 @@ def plot_body(
         dots = add_dots(axes, unit.factor * shot.dots.size[order], edge=0.15, cover=COVER_3D)
         dots.set_offsets(unit.factor * x[order] @ look.axes.T)
         dots.set_facecolor(colours_of_dots[order])
+    if scene.rigid:
+        plot_rigid(axes, outlines(scene, shot.rigid, shot.step, look), unit.factor)
     frame_axes(axes, look, corners, unit)
     plot_goals(axes, goals(scene, shot.provenance), look, unit.factor)
     return dots

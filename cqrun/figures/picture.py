@@ -11,12 +11,14 @@ import numpy as np
 from cqrun.figures.colours import Colours
 from cqrun.figures.dots import Dots, OutlinedDots
 from cqrun.figures.quantities import length_unit
+from cqrun.figures.rigid import outlines, plot_rigid
 from cqrun.figures.scenery import Goal, boundary_section, frame_axes, plot_boundaries, plot_goals
 from cqrun.figures.solid import SolidBodies
 from cqrun.figures.style import GREY, INK
 from cqrun.figures.views import View
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
+from cqrun.store.rigid_motion import RigidMotions
 from cqrun.units import Unit
 
 if TYPE_CHECKING:
@@ -65,6 +67,8 @@ class Stage:
         goals: the goals to mark.
         name: name of the run, for the corner.
         quantity: the quantity that the colours show.
+        rigid: how rigid bodies move.
+        steps: the control step of every frame.
     """
 
     scene: Scene
@@ -78,6 +82,8 @@ class Stage:
     goals: list[Goal]
     name: str
     quantity: str
+    rigid: RigidMotions | None = None
+    steps: Sequence[int] = ()
 
 
 class Picture:
@@ -105,6 +111,7 @@ class Picture:
         frame_axes(self.axes, stage.look, self._corners, self._unit)
         maker = _Solid if stage.scene.dim == 3 else _Flat
         self._bodies = maker(self.axes, stage, self._corners, self._unit, layers)
+        self._rigid = plot_rigid(self.axes, self._outlines(0), self._unit.factor) if stage.scene.rigid else None
         plot_goals(self.axes, stage.goals, stage.look, self._unit.factor)
         self._trails = [
             self.axes.plot([], [], color=INK, linewidth=1.0, alpha=0.8, zorder=3, label=name)[0]
@@ -124,6 +131,11 @@ class Picture:
         )  # fmt: skip
         self._moving = self._on_bodies()
         self._still = self._drawn_once()
+
+    def _outlines(self, frame: int) -> list[Array]:
+        """Return the outlines of rigid bodies in a frame (k, 2) [m]."""
+        stage = self.stage
+        return outlines(stage.scene, stage.rigid, int(stage.steps[frame]), stage.look)
 
     def _on_bodies(self) -> list[Artist]:
         """Return what is drawn for every frame, the lowest first: the bodies, what covers them, and the title."""
@@ -155,6 +167,8 @@ class Picture:
             line.set_data(*(self._unit.factor * path[:travelled] @ self.stage.look.axes.T).T)
         for line, route in zip(self._cables, self.stage.cables, strict=True):
             line.set_data(*(self._unit.factor * layers[-1][0][route] @ self.stage.look.axes.T).T)
+        if self._rigid is not None:
+            self._rigid.set_verts([self._unit.factor * polygon for polygon in self._outlines(frame)])
         self._stamp.set_text(stamp)
         self._canvas.restore_region(self._still)
         for artist in self._moving:

@@ -34,9 +34,13 @@ def draw_reactions(run: RunData) -> Figure:
     columns = read_table(run.path / TABLE)
     figure = new_figure(9.6, 3.4)
     force, moment = figure.subplots(1, 2, sharex=True)
-    units = force_units(run.scene.dim)
+    units, names = force_units(run.scene.dim), (*run.scene.boundaries, *run.scene.rigid)
     for axes, kind, unit in zip((force, moment), ("force", "moment"), units, strict=True):
-        _plot(axes, columns["time"], {name: _parts(columns, name, kind) for name in run.scene.boundaries})
+        _plot(
+            axes,
+            columns["time"],
+            {name: _parts(columns, name, kind) for name in names},
+        )
         axes.set_xlabel("time [s]")
         axes.set_ylabel(f"{kind} on the bodies [{unit}]")
     titled(force, f"{run.name}: reactions, means over control steps")

@@ -17,6 +17,7 @@ from cqrun.figures.colours import colours, sampled
 from cqrun.figures.dots import Dots
 from cqrun.figures.movie import ffmpeg, gif_delay, write_gif, write_mp4, write_png
 from cqrun.figures.picture import Picture, Stage, Trails
+from cqrun.figures.rigid import extent_of
 from cqrun.figures.run_data import TRAJECTORY, RunData, read_run
 from cqrun.figures.scenery import goals, window_with_goals
 from cqrun.figures.solid import require_pyvista
@@ -151,9 +152,13 @@ def set_stage(run: RunData, frames: Frames, shown: Sequence[int], options: Rende
     quantity, scheme = colours(options.color, run, frames)
     routes = cables(run, frames)
     marked = goals(run.scene, frames.provenance)
-    corners = window_with_goals(_extent(frames, shown, look, trails), look, marked, dots.size)
+    rigid, steps = frames.read_rigid(), [int(step) for step in frames.step]
+    plane = [_extent(frames, shown, look, trails), extent_of(run.scene, rigid, [steps[k] for k in shown], look)]
+    corners = window_with_goals(np.concatenate(plane), look, marked, dots.size)
     name = f"{run.name}{suffix}"
-    return Stage(run.scene, look, corners, box, dots, scheme, trails, routes, marked, name, quantity)
+    return Stage(
+        run.scene, look, corners, box, dots, scheme, trails, routes, marked, name, quantity, rigid, steps
+    )  # fmt: skip
 
 
 def cables(run: RunData, frames: Frames) -> list[Array]:

@@ -89,7 +89,9 @@ class InMotion:
         """Return the records of bodies that do not move, on which no boundary acts."""
         model, count = self.built.model, self.built.model.n_controls + 1
         size = model.dim + (1 if model.dim == 2 else 3)
-        return replace(_still(self.built, count), held={name: np.zeros((count, size)) for name in model.reactions})
+        held = {name: np.zeros((count, size)) for name in model.reactions}
+        rigid = {body.name: np.zeros((count, 6 if model.dim == 2 else 12)) for body in model.rigid}
+        return replace(_still(self.built, count), held=held, rigid=rigid)
 
     def gradient(
         self, values: Values, loss_bar: Callable[[Records], Records], threads: int = 1, budget: int | None = None,
@@ -175,7 +177,7 @@ class AtRest:
                 measuring.look(state, here, here.activation[-1] if number else neutral)
 
             records = self._find(values, threads, note)[1]
-            if (measured := measuring.end(records.held, at_rest=True)) is not None:
+            if (measured := measuring.end(records, at_rest=True)) is not None:
                 writer.add(measured)
         return []
 

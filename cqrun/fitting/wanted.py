@@ -74,7 +74,7 @@ class Wanted(Comparison):
         parts = np.zeros(matter.n_parts)  # terms of strengths are refused
         return Track(
             x, v, C, F, nothing, self.goals, matter.control_step, matter.design, records.held, parts, parts,
-            matter.terms, rest=matter.x, friction=parts,
+            matter.terms, rest=matter.x, friction=parts, rigid=records.rigid,
         )  # fmt: skip
 
     def wanted(self) -> dict[str, Any]:
@@ -93,5 +93,5 @@ class Wanted(Comparison):
         """Return the cotangent of the records from that of the loss, and 0 as that of `start`."""
         bar = self.objective.loss_vjp(self.track(records), loss_bar)
         out = replace(records.zeros_like(), **{k: b for k in "xvCF" if (b := getattr(bar, k)) is not None})
-        out.held.update(bar.held or {})
+        out.add_by_name(bar.by_name)
         return out, 0.0

@@ -225,7 +225,7 @@ class Experiment:
         rollout = self.rollout_of(self.stable_values(params), self.chosen_goals(goals))
         with one_blas_thread():
             records = rollout.run(keep)
-        measured = measuring.end(records.held)
+        measured = measuring.end(records)
         particles = self.built.particles
         bodies = {name: particles.of(name) for name in particles.names}
         found = {} if measured is None else {name: q.values for name, q in measured.quantities.items()}

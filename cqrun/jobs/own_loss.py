@@ -219,7 +219,7 @@ class Recorded:
             records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at], call.rollout.activation, call.goals,
             self.problem.built.scene.time.control_step, self.problem.built.assembly.design(inputs), records.held,
             inputs.strength, inputs.rest, inputs.terms, inputs.weights, inputs.state.x,
-            inputs.friction,
+            inputs.friction, records.rigid,
         )  # fmt: skip
 
     def _bars(self, call: Call, records: Records, bars: Mapping[str, Array], beside: TrackBar) -> LossBar:
@@ -232,8 +232,7 @@ class Recorded:
                 for field in ("x", "v", "C", "F"):
                     if getattr(part, field) is not None:
                         getattr(full, field)[:, at] += getattr(part, field)
-                for boundary, held_bar in (part.held or {}).items():
-                    full.held[boundary] += held_bar
+                full.add_by_name(part.by_name)
                 activation_bar += 0.0 if part.activation is None else part.activation
                 beside.add_inputs_of(part)
             elif name == "activation":

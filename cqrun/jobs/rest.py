@@ -123,7 +123,7 @@ class RestJob(Job[Resting, RestResult]):
                 message = f"stopped after {len(found)} of {len(points)} points"
                 run.finish("stopped", talk.stop.named(message))
                 raise talk.stop.stopped(f"{message}; `cqrun resume {run.path}` goes on") from None
-            measured = measuring.end(records.held, at_rest=True)
+            measured = measuring.end(records, at_rest=True)
             if not found[-1].converged:
                 writer.abandon()
             elif measured is not None:

@@ -127,7 +127,7 @@ class Simulate(Job[Simulation, SimulateResult]):
             except RolloutError as error:
                 result = _result(built, watch, "failed", str(error), reached)
                 result.findings += passing.findings()
-                measuring.end({})
+                measuring.end(Records.zeros(0, 0, built.model.dim))
                 write_measured(run.path, measuring, result)
                 for sentence in result.findings:
                     talk.warn(sentence)

@@ -66,6 +66,7 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     thinnest = thinnest_parts(built)
     for name in built.particles.names:
         yield from _body(built, name, thinnest[name])
+    yield from _rigid(built)
     yield from _regions(built)
     yield from _actuators(built)
     yield from _measured(built)
@@ -142,6 +143,18 @@ def _body(built: Built, name: str, thinnest: Thinnest) -> Iterator[str]:
     groups = [f"{group} {len(members):,}" for group, members in built.particles.groups(name).items()]
     if groups:
         yield line("", f"groups: {listed(groups)}")
+
+
+def _rigid(built: Built) -> Iterator[str]:
+    """Yield a line per rigid body: how it moves, its mass and what of it can touch."""
+    unit = "kg" if built.scene.dim == 3 else "kg/m"
+    for model, (name, mass) in zip(built.model.rigid, built.assembly.rigid.masses({}).items(), strict=True):
+        body, center = built.scene.rigid[name], ", ".join(map(number, model.center[: built.scene.dim]))
+        motion = f"on a path through {len(body.waypoints)} places" if body.path else "fixed"
+        if body.free:
+            motion = f"free, mass {number(mass)} {unit}, {len(model.skin):,} points of its skin touch boundaries"
+        yield line(f"rigid {name}", f"{body.shape.name}, {motion}")
+        yield line("", f"centre at ({center}) m, friction {number(body.friction)}")
 
 
 def _regions(built: Built) -> Iterator[str]:

@@ -267,7 +267,7 @@ class Agent:
             rollout.activation if activation is None else activation, goals, self.matter.control_step,
             self.built.assembly.design(rollout.inputs), records.held, rollout.inputs.strength, rollout.inputs.rest,
             rollout.inputs.terms, rollout.inputs.weights, rollout.inputs.state.x,
-            rollout.inputs.friction,
+            rollout.inputs.friction, records.rigid,
         )  # fmt: skip
 
     def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:
@@ -348,9 +348,8 @@ class Agent:
                 part = getattr(bar, name)
                 if part is not None:
                     getattr(full, name)[:, self.places[user]], moves = part, True
-            for boundary, held_bar in (bar.held or {}).items():
-                full.held[boundary] += held_bar
-                moves = True
+            full.add_by_name(bar.by_name)
+            moves = moves or any(bar.by_name.values())
             if bar.activation is not None:
                 total.activation = bar.activation + (0.0 if total.activation is None else total.activation)
             total.add_inputs_of(bar)

@@ -172,6 +172,8 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
             getattr(self.track, name)[control:] = getattr(now, name)[:, at]
         for name, rows in self.rollout.held_at(control).items():
             self.track.held[name][control:] = rows
+        for name, rows in self.rollout.rigid_at(control).items():
+            self.track.rigid[name][control:] = rows
         self.track.activation[:control] = self.rollout.activation[:control]
         return float(self.agent.objective.loss(self.track))
 

@@ -69,6 +69,11 @@ class Measure(Plugin):
         """The boundaries whose force and moment it needs, which only the reference frame has."""
         return ()
 
+    @property
+    def known_late(self) -> bool:
+        """Whether it is known only when a run has ended: forces of boundaries, and the motion of rigid bodies."""
+        return bool(self.boundaries)
+
     @abstractmethod
     def bind(self, matter: Matter) -> BoundMeasure:
         """Bind this quantity to a scene's particles.

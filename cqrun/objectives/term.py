@@ -135,9 +135,10 @@ class Objective:
                 _add(total, part, getattr(term_bar, part), getattr(track, part), (slice(None), self._places[name]))
             _add(total, "activation", term_bar.activation, track.activation, ())
             total.add_inputs_of(term_bar)
-            for boundary, held_bar in (term_bar.held or {}).items():
-                total.held = total.held or {}
-                total.held[boundary] = total.held.get(boundary, 0.0) + held_bar
+            for part, bars_by_name in term_bar.by_name.items():
+                for key, more in bars_by_name.items():
+                    so_far = getattr(total, part) or {}
+                    setattr(total, part, {**so_far, key: so_far.get(key, 0.0) + more})
         return total
 
 

@@ -28,6 +28,8 @@ class Track:
         held: force [N] and moment [N m] of the boundaries that readers need (T+1, D+1) or (T+1, 6), by name: means over
             each control step, which row 0 does not have (engine/reference/reactions.py).
         rest: positions of all particles at rest (N, D) [m].
+        rigid: displacement, rotation vector (2D: angle), velocity and angular velocity (T+1, 6 or 12) of each rigid
+            body, by name.
     """
 
     x: Array
@@ -45,6 +47,7 @@ class Track:
     weights: Array = field(default_factory=lambda: np.zeros(0))
     rest: Array = field(default_factory=lambda: np.zeros((0, 0)))
     friction: Array = field(default_factory=lambda: np.zeros(0))
+    rigid: Mapping[str, Array] = field(default_factory=dict)
 
     def part(self, at: slice) -> Track:
         """Return the record that a reader of some of the sums gets."""
@@ -68,6 +71,12 @@ class TrackBar:
     weights: Array | None = None
     rest: Array | None = None
     friction: Array | None = None
+    rigid: dict[str, Array] | None = None
+
+    @property
+    def by_name(self) -> dict[str, dict[str, Array]]:
+        """The parts that have a cotangent for each of several names: `held` and `rigid`."""
+        return {"held": self.held or {}, "rigid": self.rigid or {}}
 
     def add_inputs_of(self, other: TrackBar) -> None:
         """Add the parts of another cotangent that belong to the inputs of a run, such as the design and the terms."""

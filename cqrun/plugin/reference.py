@@ -70,6 +70,11 @@ class NamesBoundary:
 
 
 @dataclass(frozen=True)
+class NamesRigid:
+    """Mark of the name of one of the scene's rigid bodies."""
+
+
+@dataclass(frozen=True)
 class NamesForce:
     """Mark of the name of one of the scene's forces without an activation, such as a spring."""
 
@@ -119,6 +124,7 @@ RegionName = Annotated[str, NamesRegion()]
 GoalName = Annotated[str, NamesGoal()]
 ActuatorName = Annotated[str, NamesActuator()]
 BoundaryName = Annotated[str, NamesBoundary()]
+RigidName = Annotated[str, NamesRigid()]
 ForceName = Annotated[str, NamesForce()]
 MeasureName = Annotated[str, NamesMeasure()]
 FileName = Annotated[str, NamesFile()]

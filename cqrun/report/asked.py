@@ -13,6 +13,7 @@ from cqrun.report.subject import Subject
 from cqrun.report.words import clipped, count, short, some, unit_text
 from cqrun.scene.body import Body
 from cqrun.scene.load_path import PathValues, Ramp
+from cqrun.scene.rigid import RigidBody
 from cqrun.scene.schema import Scene
 
 JOBS = {
@@ -46,6 +47,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "Bodies", "; ".join(_body(name, body) for name, body in list(scene.bodies.items())[:12])
     yield "Materials", some(_laws(scene), between="; ")
     yield "Boundaries", _plugins(scene.boundaries)
+    yield "Rigid bodies", some(f"{name} ({_motion(body)})" for name, body in scene.rigid.items())
     yield "Loads", _plugins(scene.loads)
     yield "Forces", _plugins(scene.forces)
     yield "Actuators", _plugins(scene.actuators)
@@ -96,6 +98,10 @@ def _body(name: str, body: Body) -> str:
 
 def _plugins(chosen: Mapping[str, Chosen[Any]]) -> str:
     return some(name if name == of.name else f"{name} ({of.name})" for name, of in chosen.items())
+
+
+def _motion(body: RigidBody) -> str:
+    return "on a path" if body.path else body.motion
 
 
 def _path(values: PathValues) -> str:

@@ -49,7 +49,8 @@ def _path(subject: Subject) -> tuple[str, str]:
 
 
 def _reactions(subject: Subject) -> tuple[str, str]:
-    return f"Force and moment of the boundaries ({some(subject.run.scene.boundaries, 4)}) over time.", "Reactions"
+    scene = subject.run.scene
+    return f"Force and moment of {some([*scene.boundaries, *scene.rigid], 4)} over time.", "Reactions"
 
 
 def _measured(subject: Subject) -> tuple[str, str]:

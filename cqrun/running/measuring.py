@@ -11,7 +11,7 @@ import numpy as np
 
 from cqrun.build.measures import bound_measures
 from cqrun.build.model import Built
-from cqrun.engine.model import Inputs
+from cqrun.engine.model import Inputs, Records
 from cqrun.errors import CrushedError
 from cqrun.measures.measure import BoundMeasure
 from cqrun.observers.track import Track
@@ -31,7 +31,7 @@ class Measuring:
 
     Attributes:
         bound: the quantities by name; empty if the scene names none.
-        late: those that are known only at the end, from what boundaries did.
+        late: those that are known only at the end, from what boundaries and rigid bodies did.
         found: all that was measured, after `end`; None if the scene names nothing.
 
     Raises:
@@ -42,7 +42,7 @@ class Measuring:
         self.built = built
         self.bound = bound_measures(built, values)
         self.found: MeasuredQuantities | None = None
-        self.late = {name for name, chosen in built.scene.measure.items() if chosen.value.boundaries}  # type: ignore[attr-defined]
+        self.late = {name for name, chosen in built.scene.measure.items() if chosen.value.known_late}  # type: ignore[attr-defined]
         self._before: dict[str, Track] = {}  # the last moment of cumulative quantities
         self._rows: dict[str, list[Array]] = {name: [] for name in self.bound if name not in self.late}
 
@@ -64,11 +64,11 @@ class Measuring:
             if bound.cumulative:
                 self._before[name] = now
 
-    def end(self, held: Mapping[str, Array], *, at_rest: bool = False) -> MeasuredQuantities | None:
+    def end(self, records: Records, *, at_rest: bool = False) -> MeasuredQuantities | None:
         """Return all that was measured; None if the scene names nothing.
 
         Args:
-            held: force and moment of boundaries (T, D+1) or (T, 6), as in `Records.held`; empty if the run failed.
+            records: what boundaries and rigid bodies did; empty if the run failed.
             at_rest: whether the moments were points at rest.
         """
         if not self.bound:
@@ -76,12 +76,14 @@ class Measuring:
         found = {name: self.bound[name].continuous(np.array(rows)) for name, rows in self._rows.items()}
         for name in [name for name in found if self.bound[name].cumulative]:  # points at rest are no steps of a motion
             found[name] = np.full(found[name].shape, np.nan) if at_rest else np.cumsum(found[name], axis=0)
-        moments = max([*map(len, found.values()), *(len(rows) for rows in held.values())], default=0)
+        both = [*records.held.values(), *records.rigid.values()]
+        moments = max([*map(len, found.values()), *map(len, both)], default=0)
         step = 1.0 if at_rest else self.built.scene.time.control_step
         for name in self.late:
             found[name] = np.full((moments, len(self.bound[name].components)), np.nan)
-            if held:
-                found[name] = self.bound[name].values(_of_boundaries(held, moments, self.built.scene.dim, step))
+            if both:
+                values = self.bound[name].values(_of_boundaries(records, moments, self.built.scene.dim, step))
+                found[name] = self.bound[name].continuous(values)
         quantities = {
             name: Quantity(found[name], bound.components, bound.unit, bound.meaning)
             for name, bound in self.bound.items()
@@ -111,10 +113,11 @@ def _joined(before: Track, now: Track) -> Track:
     return replace(now, **both)
 
 
-def _of_boundaries(held: Mapping[str, Array], moments: int, dim: int, control_step: float) -> Track:
-    """Return a track that knows what boundaries do, and no particles."""
+def _of_boundaries(records: Records, moments: int, dim: int, control_step: float) -> Track:
+    """Return a track that knows what boundaries and rigid bodies do, and no particles."""
     none, matrices = np.zeros((moments, 0, dim)), np.zeros((moments, 0, dim, dim))
-    return Track(none, none, matrices, matrices, np.zeros((0, 0)), {}, control_step, held=held)
+    activation = np.zeros((0, 0))
+    return Track(none, none, matrices, matrices, activation, {}, control_step, held=records.held, rigid=records.rigid)
 
 
 def write_measured(run: Path, measuring: Measuring, result: Result) -> None:

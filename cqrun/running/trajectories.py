@@ -19,6 +19,7 @@ from cqrun.scene.load import dump, resolve
 from cqrun.state import State
 from cqrun.store.atomic import write_table
 from cqrun.store.reactions import Reactions
+from cqrun.store.rigid_motion import RigidMotions
 from cqrun.store.trajectory import TrajectoryWriter
 
 MANY = 100
@@ -90,7 +91,10 @@ def write_trajectory(
         else:
             if records.held:
                 writer.add(Reactions.of(records.held, model.dim, step))
-            if measuring is not None and (measured := measuring.end(records.held)) is not None:
+            if records.rigid:
+                centers = {body.name: body.center[: model.dim] for body in model.rigid}
+                writer.add(RigidMotions(step * np.arange(model.n_controls + 1), records.rigid, centers))
+            if measuring is not None and (measured := measuring.end(records)) is not None:
                 writer.add(measured)
     return records, complete
 

@@ -17,6 +17,7 @@ from cqrun.plugin.reference import (
     NamesForce,
     NamesGoal,
     NamesMeasure,
+    NamesRigid,
 )
 from cqrun.scene.activation import Activation
 from cqrun.scene.region_names import findings_of_regions, unknown
@@ -60,6 +61,7 @@ def _names(scene: Sections) -> Iterator[InitErrorDetails]:
         "goal": (NamesGoal, scene.goals),
         "actuator": (NamesActuator, scene.actuators),
         "force": (NamesForce, scene.forces),
+        "rigid body": (NamesRigid, scene.rigid),
         "boundary": (NamesBoundary, {**scene.boundaries, **scene.rigid}),
         "measured quantity": (NamesMeasure, scene.measure),
     }

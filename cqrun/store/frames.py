@@ -17,6 +17,7 @@ from cqrun.plugin.contract import Array
 from cqrun.store.hdf5 import checksum, numbers, require_sound_heaps, require_stored_zeros, text
 from cqrun.store.measured import MeasuredQuantities, read_measured
 from cqrun.store.reactions import Reactions, read_reactions
+from cqrun.store.rigid_motion import RigidMotions, read_rigid
 
 if TYPE_CHECKING:
     import h5py
@@ -102,6 +103,15 @@ class Frames:
         """
         with self._reading():
             return read_reactions(self._file)
+
+    def read_rigid(self) -> RigidMotions | None:
+        """Return the motion of rigid bodies; None if there are none, as in a file that is still being written.
+
+        Raises:
+            UsageError: it cannot be read.
+        """
+        with self._reading():
+            return read_rigid(self._file)
 
     def read_measured(self) -> MeasuredQuantities | None:
         """Return the measured quantities; None if there are none, as in a file that is still being written.

@@ -125,6 +125,30 @@ def checksum(frame: Array) -> int:
     return zlib.crc32(frame.tobytes(), zlib.crc32(frame.dtype.str.encode()))
 
 
+def write_rows(file: h5py.File, place: str, array: Array, unit: str) -> None:
+    """Write an array with its unit, and the checksum of each of its rows."""
+    rows = np.ascontiguousarray(array, "f8")
+    file[place] = rows
+    file[place].attrs["unit"] = unit
+    file[f"checksums/{place}"] = np.array([checksum(row) for row in rows], np.uint32)
+
+
+def read_rows(file: h5py.File, place: str, rows: int | None = None) -> Array:
+    """Return an array that `write_rows` has written, with this number of rows.
+
+    Raises:
+        ValueError: it is not what was written.
+    """
+    array: Array = numbers(file, place)[:]
+    sums = numbers(file, f"checksums/{place}")[:]
+    if len(sums) != len(array) or rows not in (None, len(array)):
+        raise ValueError(f"'{place}' has {len(array)} control steps of {rows or len(sums)}")
+    for number, row in enumerate(array):
+        if checksum(row) != sums[number]:
+            raise ValueError(f"control step {number} of '{place}' is not what was written")
+    return array
+
+
 def require_stored_zeros(data: h5py.Dataset, first: int, frames: Array) -> None:
     """Refuse frames (T, ...) of a dataset, the first one's number is given, that are zero and are not stored as zeros.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.plugin.contract import Array
-from cqrun.store.hdf5 import checksum, member, numbers
+from cqrun.store.hdf5 import member, read_rows, write_rows
 from cqrun.store.model_file import Part
 from cqrun.units import force_units
 
@@ -68,10 +68,7 @@ class Reactions:
             for part, of, unit in zip(PARTS, (self.force, self.moment), units, strict=True):
                 arrays[f"{BOUNDARIES}/{name}/{part}"] = of[name], unit
         for name, (array, unit) in arrays.items():
-            place = f"{GROUP}/{name}"
-            file[place] = np.ascontiguousarray(array, "f8")
-            file[place].attrs["unit"] = unit
-            file[f"checksums/{place}"] = np.array([checksum(row) for row in np.asarray(array, "f8")], np.uint32)
+            write_rows(file, f"{GROUP}/{name}", array, unit)
 
 
 def read_reactions(file: h5py.File) -> Reactions | None:
@@ -82,19 +79,9 @@ def read_reactions(file: h5py.File) -> Reactions | None:
     """
     if GROUP not in file:
         return None
-    time, force, moment = _read(file, TIME), {}, {}
+    time, force, moment = read_rows(file, f"{GROUP}/{TIME}"), {}, {}
     for name in member(member(file, GROUP), BOUNDARIES):
-        force[name], moment[name] = (_read(file, f"{BOUNDARIES}/{name}/{part}", len(time)) for part in PARTS)
+        force[name], moment[name] = (
+            read_rows(file, f"{GROUP}/{BOUNDARIES}/{name}/{part}", len(time)) for part in PARTS
+        )
     return Reactions(time, force, moment)
-
-
-def _read(file: h5py.File, name: str, rows: int | None = None) -> Array:
-    place = f"{GROUP}/{name}"
-    array: Array = numbers(file, place)[:]
-    sums = numbers(file, f"checksums/{place}")[:]
-    if len(sums) != len(array) or rows not in (None, len(array)):
-        raise ValueError(f"'{place}' has {len(array)} control steps of {rows or len(sums)}")
-    for number, row in enumerate(array):
-        if checksum(row) != sums[number]:
-            raise ValueError(f"control step {number} of '{place}' is not what was written")
-    return array

@@ -6,6 +6,7 @@
         -1 for none
     /particles attributes: names of the bodies, and first and last particle of each       / attributes: provenance
     /measured: quantities that the scene names, over time (measured.py)
+    /rigid: how rigid bodies move (rigid_motion.py)
     /reactions: forces and moments of boundaries, if the run recorded them (reactions.py)
     /checksums/x, v, ... (T) u4: CRC-32 of each frame of a field; without them a damaged index reads as zeros
     /VTKHDF: the same data in ParaView's format, as virtual datasets without a copy (vtkhdf.py)
@@ -37,6 +38,7 @@ from cqrun.store.frames import STANDING, Frames, part_path
 from cqrun.store.hdf5 import checksum
 from cqrun.store.measured import MeasuredQuantities
 from cqrun.store.reactions import Reactions
+from cqrun.store.rigid_motion import RigidMotions
 from cqrun.store.vtkhdf import add_vtk_view
 
 if TYPE_CHECKING:
@@ -76,6 +78,7 @@ class Trajectory:
         complete: whether every frame was written and the file closed.
         reactions: of boundaries in every control step; None if the run did not record any.
         measured: quantities that the scene names; None if it names none.
+        rigid: how rigid bodies move; None if there are none.
     """
 
     time: Array
@@ -86,6 +89,7 @@ class Trajectory:
     complete: bool = True
     reactions: Reactions | None = None
     measured: MeasuredQuantities | None = None
+    rigid: RigidMotions | None = None
 
 
 class Beside(Protocol):
@@ -329,4 +333,5 @@ def read_trajectory(path: Path) -> Trajectory:
             complete=frames.complete,
             reactions=frames.read_reactions(),
             measured=frames.read_measured(),
+            rigid=frames.read_rigid(),
         )

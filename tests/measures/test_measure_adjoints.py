@@ -60,6 +60,7 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "chamber_pressure": [{"chamber": name} for name in ("air", "gas", "oil")],
         "work": [{"actuator": name} for name in WORKING],
         "reaction": [{"boundary": "clamp"}, {"boundary": "floor", "of": "moment", "on": "boundary"}],
+        "rigid_motion": [{"rigid": "stone", "of": what} for what in ("displacement", "rotation", "velocity", "spin")],
     }  # fmt: skip
 
 
@@ -101,7 +102,7 @@ def smooth_track(bound: BoundMeasure, dim: int, rng: np.random.Generator) -> Tra
     n_rows = bound.rows.shape[0]
     track = a_track(n_rows, dim, rng)
     x = np.arange(n_rows)[:, None] + 0.5 * track.x
-    if bound.unit == "rad":
+    if bound.unit == "rad" and n_rows:
         c, s = np.cos(1.0), np.sin(1.0)
         turn = np.eye(dim)
         turn[:2, :2] = [[c, s], [-s, c]]

@@ -278,6 +278,10 @@ class ReferenceRollout(Rollout):
         """Return force and moment of every recorded boundary in the control step that ended at `control`, by name."""
         return {name: rows[control] for name, rows in reactions_by_name(self.reactions, self.model).items()}
 
+    def rigid_at(self, control: int) -> dict[str, Array]:
+        """Return what is seen of every rigid body at a control step, by name; see `Records.rigid`."""
+        return {name: rows[control] for name, rows in poses_by_name(rigid_of(self.contacts), self.model).items()}
+
     def _record_start(self) -> None:
         crew = Crew(0, 1)
         note(self.bundle, self.start[0], self.start[1], self.probe, self.records[0], crew)

@@ -1,0 +1,67 @@
+"""Displacement, rotation, velocity or spin of a rigid body."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.measures.measure import AXES, BoundMeasure, Measure
+from cqrun.observers.matter import Matter
+from cqrun.observers.rows import means
+from cqrun.observers.track import Track, TrackBar
+from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import RigidName
+from cqrun.plugin.registry import plugin
+
+UNITS = {"displacement": "m", "rotation": "rad", "velocity": "m/s", "spin": "rad/s"}
+
+
+@plugin("measure", "rigid_motion")
+class RigidMotion(Measure):
+    """How a rigid body has moved: displacement of its centre [m] or rotation [rad], or its velocity or spin.
+
+    Displacement and rotation are from the place of its shape, before any `offset`. A rotation in 3D is a rotation
+    vector of at most a half turn.
+    """
+
+    rigid: RigidName = Field(description="Rigid body")
+    of: Literal["displacement", "rotation", "velocity", "spin"] = Field(
+        description="Which of its numbers", default="displacement"
+    )
+
+    @property
+    def known_late(self) -> bool:
+        """It is known only when a run has ended."""
+        return True
+
+    def bind(self, matter: Matter) -> BoundMeasure:
+        return BoundRigidMotion(self, matter)
+
+
+class BoundRigidMotion(BoundMeasure):
+    """Columns of what is seen of a rigid body."""
+
+    instant = False
+
+    def __init__(self, spec: RigidMotion, matter: Matter) -> None:
+        dim, self.rigid = matter.dim, spec.rigid
+        self.rows, self.unit, self.meaning = means([], matter.n_particles), UNITS[spec.of], f"{spec.of} of {spec.rigid}"
+        self.turns = spec.of == "rotation" and dim == 2
+        sizes = {"displacement": dim, "rotation": 2 * dim - 3, "velocity": dim, "spin": 2 * dim - 3}
+        first = sum(size for name, size in list(sizes.items())[: list(sizes).index(spec.of)])
+        self.columns = slice(first, first + sizes[spec.of])
+        self.components = tuple(AXES[: sizes[spec.of]]) if sizes[spec.of] > 1 else ("",)
+        self.low, self.high = np.full(len(self.components), -1.0), np.ones(len(self.components))
+
+    def values(self, track: Track) -> Array:
+        return np.asarray(track.rigid[self.rigid][:, self.columns])
+
+    def values_vjp(self, track: Track, bar: Array) -> TrackBar:
+        rigid_bar = np.zeros(track.rigid[self.rigid].shape)
+        rigid_bar[:, self.columns] = bar
+        return TrackBar(rigid={self.rigid: rigid_bar})
+
+    def continuous(self, values: Array) -> Array:
+        return np.unwrap(values, axis=0) if self.turns else values
