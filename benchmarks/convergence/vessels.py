@@ -1,7 +1,7 @@
 """Cylinders (plane strain) and balls with a hole, under inner pressure: small strains, and incompressible rubber.
 
-Lame's solutions: Timoshenko and Goodier 1970, articles 28 and 142. Large strains: of an incompressible body r^n - R^n is
-the same everywhere (n = 2, 3), so the stretch around it, s = r / R, is known, and equilibrium along the radius gives
+Lame's solutions: Timoshenko and Goodier 1970, articles 28 and 142. Large strains: of an incompressible body r^n - R^n
+is the same everywhere (n = 2, 3), so the stretch around it, s = r / R, is known. Equilibrium along the radius gives
 
     p = integral from r(A) to r(B) of (n - 1) (sigma_around - sigma_radial) / r dr,    sigma = mu (s^2 - s^(2 - 2n)),
 

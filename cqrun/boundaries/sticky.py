@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, NamedTuple
 
+from pydantic import Field
+
 from cqrun.boundaries.condition import BoundaryCondition, register
 from cqrun.explain import Loc
 from cqrun.numerics.tensor import scale
 from cqrun.plugin.contract import quantity, vector
+from cqrun.plugin.reference import RigidName
 from cqrun.plugin.registry import plugin
 
 
@@ -43,10 +46,15 @@ class Sticky(BoundaryCondition):
         exclude_if=lambda value: value is None,
     )  # fmt: skip
 
+    to: RigidName | None = Field(
+        description="Rigid body, fixed or on a path, to which it glues what it holds, in place of a motion of its own",
+        default=None, exclude_if=lambda value: value is None,
+    )  # fmt: skip
+
     @property
     def moves(self) -> bool:
         """Whether it carries its nodes anywhere."""
-        return self.displacement is not None or self.rotation is not None
+        return self.displacement is not None or self.rotation is not None or self.to is not None
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions, and fields without a use."""
@@ -55,6 +63,9 @@ class Sticky(BoundaryCondition):
             problems.append(
                 (("rotation",), f"must have {turns} entries in this {dim}D world, has {len(self.rotation)}")
             )
+        if self.to is not None:
+            own = [name for name in ("displacement", "rotation", "center", "over") if getattr(self, name) is not None]
+            problems += [((name,), f"has no effect: the rigid body '{self.to}' carries it; remove it") for name in own]
         if self.over is not None and not self.moves:
             problems.append((("over",), "has no effect without `displacement or rotation`: give one, or remove it"))
         return problems

@@ -31,7 +31,7 @@ def moving_warnings(scene: Scene, particles: Particles) -> Iterator[Problem]:
     size = np.array(scene.world.size)
     for name, chosen in scene.boundaries.items():
         spec: Any = boundary(scene, name)
-        if not getattr(spec, "moves", False):
+        if not getattr(spec, "moves", False) or getattr(spec, "to", None) is not None:
             continue
         held, path = _inside(spec, particles.x, size), f"boundaries.{name}.{chosen.name}"
         for body in particles.names:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.build.particles import Particles
+from cqrun.build.rigid import parts_of
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.reference.held import held_at
 from cqrun.plugin.contract import Array
@@ -42,7 +43,9 @@ def centers(scene: Scene, particles: Particles, conditions: Sequence[ConditionMo
     found = {}
     for name in dict.fromkeys(plane.name for plane in conditions):
         planes = [plane for plane in conditions if plane.name == name]
-        given = getattr(planes[0].spec, "center", None)
+        given, to = (getattr(planes[0].spec, field, None) for field in ("center", "to"))
+        if to in scene.rigid:  # it turns about the centre of the rigid body that carries it
+            given = parts_of(scene, particles)[to].center[: scene.dim]
         inside = held_at(planes, particles.x, np.array(scene.world.size)).bits != 0
         weight = (particles.volume * particles.room)[inside]
         if given is not None:

@@ -165,11 +165,29 @@ def rigid_problems(scene: Scene) -> Iterator[tuple[str, str]]:
             yield f"{path}.shape", "is infinite, so the body has no mass and cannot move freely: bound it"
         if is_infinite(body) and body.center is None and any(any(point.rotation) for point in body.waypoints):
             yield path, "turns about its centre, but its shape is infinite and has none: give a `center`"
+    yield from _glue_problems(scene)
     if scene.rigid and scene.start == "equilibrium":
         yield "start", f"an equilibrium does not feel rigid bodies yet ({listed(scene.rigid)}): remove `start`"
     free = [name for name, body in scene.rigid.items() if body.free]
     if free and scene.precision != "float64":
         yield "precision", f"is {scene.precision}, too coarse for the small turns of '{free[0]}': use float64"
+
+
+def _glue_problems(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield boundaries that cannot be glued to their rigid body."""
+    for name, chosen in scene.boundaries.items():
+        to = getattr(chosen.value, "to", None)
+        body = scene.rigid.get(to or "")
+        if body is None:
+            continue
+        path = f"boundaries.{name}.{chosen.name}.to"
+        if body.free:
+            yield path, f"the rigid body '{to}' moves freely, and nothing can be glued to it yet: give it a `path`"
+        if any(body.offset) or any(key.startswith(f"rigid.{to}.offset") for key in scene.unknowns):
+            yield path, f"the rigid body '{to}' has an `offset`, which the patch would not follow: move its shape"
+        first = body.waypoints[0] if body.waypoints else None
+        if first is not None and first.time == 0 and any([*first.displacement, *first.rotation]):
+            yield path, f"the path of '{to}' begins elsewhere than its shape, away from the patch: move its shape there"
 
 
 def depths(model: RigidModel, pose: Array, x: Array) -> Array:

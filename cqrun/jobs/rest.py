@@ -187,6 +187,8 @@ def _needs_time(scene: Scene) -> Iterator[tuple[str, str]]:
         yield "world.frame", "a body rests in the reference frame: set `world.frame: reference`"
     for path, kind in touched(scene):
         yield path, f"an equilibrium does not feel `{kind}` boundaries yet: remove it, or make it `sticky` or `slip`"
+    for name in scene.rigid:
+        yield f"rigid.{name}", "an equilibrium does not feel rigid bodies yet: remove it, or use `cqrun simulate`"
     for path, name in remembering(scene):
         yield path, f"the stress of `{name}` has a history, and so no equilibrium: remove it, or use `cqrun simulate`"
     if scene.bodies_meet:

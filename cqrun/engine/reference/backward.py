@@ -17,6 +17,7 @@ from cqrun.engine.reference.history import rows_of_state, rows_of_table
 from cqrun.engine.reference.history import with_bars as with_histories_bars
 from cqrun.engine.reference.moves import poses_vjp
 from cqrun.engine.reference.placing import note_all_poses_vjp
+from cqrun.engine.reference.poses import glue_vjp
 from cqrun.engine.reference.reactions import columns, zero_bars_of
 from cqrun.engine.reference.rigid import put_record_bars
 from cqrun.engine.reference.setting import NodeBars
@@ -122,6 +123,7 @@ class ReferenceBackward(BackwardRun):
             self._add_ghost_bar(bar)
         for _, pose_bar in self.moves:
             bar.moves += poses_vjp(r.model, r.inputs.moves, r.shares, pose_bar)
+            bar.waypoints += glue_vjp(r.model, pose_bar, r.inputs.waypoints)
         for g, means in enumerate(self.means):
             add_means_bar(means, r, g, bar)
         surface_bar, x_bar = rest_bars(self.contacts, r)

@@ -7,11 +7,13 @@ The cotangent of a rotation is a vector theta_bar in the world: R' = R + [dtheta
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from cqrun.engine.reference.moves import SMALL, STEP
+from cqrun.engine.model import Model
+from cqrun.engine.reference.moves import SMALL, STEP, rotation_matrix
 from cqrun.engine.rigid_model import INERTIA, MASS, OFFSET, SPIN, VELOCITY, RigidModel
 from cqrun.plugin.contract import Array
 
@@ -127,6 +129,44 @@ def table_of_vjp(body: RigidModel, waypoints: Array, t: Array, bar: Array) -> tu
             slope = np.imag(spin_between(*ends, dt)) / STEP
             course_bar[side : len(course) - 1 + side, 3 + axis] += (slope * w_bar).sum(axis=1)
     return offset_bar, hats.T @ course_bar
+
+
+# --- boundaries that are glued to rigid bodies -----------------------------------------------------------------------
+
+
+def glued(model: Model) -> Iterator[tuple[int, RigidModel, slice]]:
+    """Yield the row of each glued boundary in the table of moves, its rigid body, and the rows of its waypoints."""
+    planes = [plane.spec for plane in model.conditions if getattr(plane.spec, "moves", False)]
+    places = dict(zip((body.name for body in model.rigid), own_waypoints(model.rigid), strict=True))
+    for row, spec in enumerate(planes):
+        for body in model.rigid:
+            if getattr(spec, "to", None) == body.name and len(body.times):
+                yield row, body, places[body.name]
+
+
+def glue(model: Model, pose: Array, waypoints: Array) -> None:
+    """Write displacement and R - I of glued boundaries to the table of moves (P, T + 1, D + D^2)."""
+    t, dim = np.arange(pose.shape[1]) * model.dt, model.dim
+    for row, body, at in glued(model):
+        course = _between(body.times, t) @ waypoints[at]
+        turns = course[:, 5:] if dim == 2 else course[:, 3:]
+        pose[row] = np.concatenate([course[:, :dim], rotation_matrix(turns).reshape(len(t), -1)], axis=1)
+
+
+def glue_vjp(model: Model, pose_bar: Array, waypoints: Array) -> Array:
+    """Return the cotangent of the waypoints (W, 6) from that of the table of moves; the slopes by a complex step."""
+    t, dim, out = np.arange(pose_bar.shape[1]) * model.dt, model.dim, np.zeros(waypoints.shape)
+    for row, body, at in glued(model):
+        hats = _between(body.times, t)
+        course, course_bar = hats @ waypoints[at], np.zeros((len(t), 6))
+        course_bar[:, :dim] = pose_bar[row, :, :dim]
+        for axis in range(5 if dim == 2 else 3, 6):
+            turns = course[:, 3:].astype(complex)
+            turns[:, axis - 3] += 1j * STEP
+            R = rotation_matrix(turns[:, 2:] if dim == 2 else turns)
+            course_bar[:, axis] = (pose_bar[row, :, dim:] * (np.imag(R) / STEP).reshape(len(t), -1)).sum(axis=1)
+        out[at] += hats.T @ course_bar
+    return out
 
 
 def first_poses(bodies: tuple[RigidModel, ...], numbers: Array, waypoints: Array) -> list[Array]:

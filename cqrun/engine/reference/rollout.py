@@ -25,6 +25,7 @@ from cqrun.engine.reference.look import look
 from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, progress
 from cqrun.engine.reference.placing import note_all_poses
 from cqrun.engine.reference.points import riding_points
+from cqrun.engine.reference.poses import glue
 from cqrun.engine.reference.reactions import Reactions, make_reactions, reactions_by_name, rows_of_impulses
 from cqrun.engine.reference.remarks import remarks_on, why_it_failed
 from cqrun.engine.reference.rest import rest_geometry
@@ -144,7 +145,9 @@ class ReferenceRollout(Rollout):
         if not self.shares:
             return ()
         nodes, plane, arm = moving_nodes(model, self.bundle.nodes.bits, patches.positions(model.dx))
-        return (Moves(nodes, plane, arm, poses(model, self.inputs.moves, self.shares)),)
+        pose = poses(model, self.inputs.moves, self.shares)
+        glue(model, pose, self.inputs.waypoints)
+        return (Moves(nodes, plane, arm, pose),)
 
     def _make_reactions(self) -> tuple[Reactions, ...]:
         """Return what boundaries do to the bodies, or none if it is not recorded."""
