@@ -137,7 +137,7 @@ def test_bodies_of_the_reference_frame_cannot_touch_it() -> None:
     with pytest.raises(SceneError) as info:
         build(load_scene({
             "cqrun": 1, "world": {"size": [0.3, 0.3], "dx": 0.01, "frame": "reference"}, "bodies": {"a": body},
-            "boundaries": {"rail": {"friction": {"region": region, "coefficient": 0.3}}},
+            "boundaries": {"rail": {"friction": {"region": region, "coefficient": 0.3, "normal": [0, 1]}}},
             "time": {"duration": 0.01, "control_step": 0.01},
         }))  # fmt: skip
     (problem,) = info.value.problems
