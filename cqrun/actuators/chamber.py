@@ -22,11 +22,14 @@ from cqrun.forces.force import ACTIVATION, STRENGTH, Inside, Levels, Riding, Sha
 from cqrun.forces.wall import (
     across,
     cavities,
+    each_facet,
     enclosed,
     enclosed_vjp,
     facet_work,
+    facets_in,
     press_facet,
     press_facet_vjp,
+    wall_constants,
     winding,
 )
 from cqrun.numerics.compile import kernel
@@ -160,8 +163,8 @@ class Chamber(Actuator):
             )
         chosen = self._chosen(part, surface, walls)
         points, facets = np.unique(np.concatenate([walls[k] for k in chosen]), return_inverse=True)
-        head = [float(surface.x.shape[1]), *self.base]
-        return Riding(surface.particle[points], surface.x[points], np.concatenate([head, facets.ravel().astype(float)]))
+        constants = wall_constants(facets.reshape(-1, surface.x.shape[1]), *self.base)
+        return Riding(surface.particle[points], surface.x[points], constants)
 
     def _chosen(self, part: str, skin: Skin, walls: list[Array]) -> list[int]:
         """Return the numbers of the walls of a part."""
@@ -268,11 +271,6 @@ def is_chamber(spec: object) -> bool:
     return isinstance(spec, Chamber)
 
 
-def facets_in(constants: Array) -> Array:
-    """Return the points of each facet (T, D) from a part's constants."""
-    return constants[3:].astype(np.int64).reshape(-1, int(constants[0]))
-
-
 def _places(skin: Skin, walls: list[Array]) -> str:
     def told(wall: Array) -> str:
         at = ", ".join(f"{c:.3g}" for c in skin.x[np.unique(wall)].mean(axis=0))
@@ -282,11 +280,6 @@ def _places(skin: Skin, walls: list[Array]) -> str:
 
 
 # --- in kernels: a given pressure -------------------------------------------------------------------------------------
-
-
-def each_facet(columns: Array, constants: Array) -> list[Array]:
-    """Return the points of each facet of a part."""
-    return list(columns[facets_in(constants)])
 
 
 @kernel

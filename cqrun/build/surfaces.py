@@ -84,7 +84,9 @@ def _find_surface(scene: Scene, particles: Particles) -> BodySurface:
 
         bounds = [finite_bounds(piece) for piece in pieces]
         lower, upper = np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
-        skin = make_skin(inside, lower, upper, scene.world.dx / PER_CELL / place.scale)
+        known = len(pieces) == 1 and pieces[0].distance(lower[None]) is not None
+        distance: Any = pieces[0].distance if known else None
+        skin = make_skin(inside, lower, upper, scene.world.dx / PER_CELL / place.scale, distance)
         local.append(skin.x)
         x.append(skin.x if body.place is None else place.to_world(skin.x))
         area.append(skin.area * place.scale ** (scene.dim - 1))

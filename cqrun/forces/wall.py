@@ -33,6 +33,21 @@ def cavities(skin: Skin) -> list[Array]:
     return [part[:, ::-1] for part in parts if enclosed(skin.x, part) < 0.0]
 
 
+def wall_constants(facets: Array, base: float = 0.0, scale: float = 1.0) -> Array:
+    """Return the constants of a part with a wall: D, two numbers of its law, and the points of each facet (T, D)."""
+    return np.concatenate([[float(facets.shape[1]), base, scale], facets.ravel().astype(float)])
+
+
+def facets_in(constants: Array) -> Array:
+    """Return the points of each facet (T, D) from a part's constants."""
+    return constants[3:].astype(np.int64).reshape(-1, int(constants[0]))
+
+
+def each_facet(columns: Array, constants: Array) -> list[Array]:
+    """Return the points of each facet of a part: one item each."""
+    return list(columns[facets_in(constants)])
+
+
 def across(x: Array, facets: Array) -> Array:
     """Return a vector (T, D) along the normal of each facet, as long as its first edge, for points x (S, D)."""
     b = x[facets[:, 1]] - x[facets[:, 0]]
@@ -167,3 +182,23 @@ def press_facet_vjp(shares: Shares, s: int, pressure: float, volume_bar: float, 
         if dim == 3:
             shares.x_bar[s, d] -= last
             shares.x_bar[s + 2, d] = way + last
+
+
+@kernel
+def press_facet_jvp(shares: Shares, s: int, pressure: float, q: Array, move: Array) -> None:
+    """Write to shares.x_bar how the shares of a facet under a pressure change with the displacements of its points."""
+    b, c = edges_of(shares, s, q)
+    dim, in_3d = shares.force.shape[1], shares.force.shape[1] == 3
+    first = shift(move, shares.columns[s], shares.columns[s + 1], in_3d)
+    last = shift(move, shares.columns[s], shares.columns[s + 2], True) if in_3d else (0.0, 0.0, 0.0)
+    one, other = outer(first, c), outer(b, last)
+    for k in range(dim):
+        for d in range(dim):
+            shares.x_bar[s + k, d] = part_of(shares) * pressure * (one[d] + other[d])
+
+
+@kernel
+def shift(move: Array, p: int, r: int, in_3d: bool) -> Vector:
+    """Return the displacement of point r minus that of point p."""
+    x, y = entry(move, r, 0) - entry(move, p, 0), entry(move, r, 1) - entry(move, p, 1)
+    return x, y, entry(move, r, 2) - entry(move, p, 2) if in_3d else 0.0

@@ -72,6 +72,19 @@ class Mesh(Place, FileShape):
         local = self.to_local(points) / UNITS[self.units]
         return winding_numbers(surface.vertices, surface.faces, local) > 0.5
 
+    def distance(self, points: Array) -> tuple[Array, Array] | None:
+        """Return the signed distances from the surface and its normals; None if it is open, or crosses itself."""
+        surface = self._surface()
+        w = surface.winding
+        if surface.fault or (np.minimum(np.abs(w), np.abs(w - 1.0)) > _DECIDED).any():
+            return None
+        import igl
+
+        kind = igl.SignedDistanceType.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
+        local = np.ascontiguousarray(self.to_local(points) / UNITS[self.units], float)
+        found = igl.signed_distance(local, surface.vertices, surface.faces, kind)
+        return self.scale * UNITS[self.units] * np.asarray(found[0]), np.asarray(found[3]) @ self.matrix(3).T
+
     def bounds(self) -> tuple[Array, Array]:
         vertices = self.to_world(self._surface().vertices * UNITS[self.units])
         return vertices.min(axis=0), vertices.max(axis=0)

@@ -30,6 +30,13 @@ class Shape(Region):
     def pick(self, points: Points) -> Array:
         return self.inside(points.x)
 
+    def distance(self, points: Array) -> tuple[Array, Array] | None:
+        """Return what a shape knows about its surface: distances of points (n, D) [m] and normals (n, D) next to them.
+
+        Distances are negative inside. None if the shape knows no more than which points are inside.
+        """
+        return None
+
     @abstractmethod
     def inside(self, points: Array) -> Array:
         """Return which points (N, D) [m] are in the shape or on its surface: (N,) bool."""

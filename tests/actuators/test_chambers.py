@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from little_worlds import needs_jit
 
 from cqrun.actuators.chamber import Chamber, ChamberKernel, swell, swell_vjp
 from cqrun.actuators.closed_chamber import ClosedKernel, swell_closed, swell_closed_vjp
+from cqrun.actuators.surface_pressure import PatchKernel, SurfacePressure, weigh, weigh_jvp, weigh_vjp
 from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.forces.force import Kind, Levels, Skin, make_forces
@@ -23,7 +25,8 @@ from cqrun.store.trajectory import read_trajectory
 
 DOT_PRODUCT = 1e-9
 DIM = pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
-SUPPLY = pytest.mark.parametrize("supply", ["pressure", "gas", "liquid"])
+SUPPLIES = ("pressure", "gas", "liquid")
+SUPPLY = pytest.mark.parametrize("supply", SUPPLIES)
 
 # --- one wall -----------------------------------------------------------------------------------------------------
 
@@ -64,17 +67,24 @@ def packed(rows: np.ndarray) -> np.ndarray:
 
 
 class Forces:
-    """The forces of one chamber on its points, as kernels compute them."""
+    """The forces of one chamber on its points, or those of a patch of the surface, as kernels compute them."""
 
     def __init__(self, dim: int, supply: str) -> None:
         skin = hollow(dim, 0.25)
-        spec = Chamber(body="b", **{supply: 0.3}, ambient=2.0, bulk_modulus=1.5)
+        skin = skin._replace(pick=lambda region, x, particle: x[:, 0] > 0.1)
+        spec: Any = Chamber(body="b", **{supply: 0.3}, ambient=2.0, bulk_modulus=1.5) if supply in SUPPLIES else None
+        if spec is None:
+            spec = SurfacePressure(
+                body="b", region={"half_space": {"point": [0] * dim, "normal": [1] * dim}}, pressure=1
+            )
         riding = spec.riding("", lambda: skin)
         self.x, self.points = riding.x, np.arange(len(riding.x))
         kinds = [Kind(spec.kernel, np.zeros(1, np.int64), [self.points], [riding.constants])]
         (self.kernel,), self.shares = make_forces(kinds, dim)
-        self.closed = spec.kernel is ClosedKernel
-        assert spec.kernel in (ClosedKernel, ChamberKernel)
+        self.exert, self.exert_vjp = {
+            ClosedKernel: (swell_closed, swell_closed_vjp), ChamberKernel: (swell, swell_vjp),
+            PatchKernel: (weigh, weigh_vjp),
+        }[spec.kernel]  # fmt: skip
         self.rest = spec.rest_size(riding.x, riding.constants)
 
     def levels(self, numbers: np.ndarray) -> Levels:
@@ -85,7 +95,7 @@ class Forces:
         """Return the forces (n, D)."""
         q = packed(np.concatenate([x, 0 * x], axis=1))
         for item in range(len(self.kernel.parts)):
-            (swell_closed if self.closed else swell)(self.kernel, item, self.levels(numbers), 0, q)
+            self.exert(self.kernel, item, self.levels(numbers), 0, q)
         out = np.zeros(x.shape)
         np.add.at(out, self.shares.columns, self.shares.force)
         return out
@@ -95,10 +105,19 @@ class Forces:
         q = packed(np.concatenate([x, 0 * x], axis=1))
         push_bar = packed(bar)
         for item in range(len(self.kernel.parts)):
-            (swell_closed_vjp if self.closed else swell_vjp)(self.kernel, item, self.levels(numbers), 0, q, push_bar)
+            self.exert_vjp(self.kernel, item, self.levels(numbers), 0, q, push_bar)
         out = np.zeros(x.shape)
         np.add.at(out, self.shares.columns, self.shares.x_bar)
         return out, self.shares.level_bar.sum(axis=0)
+
+    def jvp(self, x: np.ndarray, numbers: np.ndarray, move: np.ndarray) -> np.ndarray:
+        """Return how the forces (n, D) of a patch change with a displacement."""
+        q = packed(np.concatenate([x, 0 * x], axis=1))
+        for item in range(len(self.kernel.parts)):
+            weigh_jvp(self.kernel, item, self.levels(numbers), 0, q, packed(move))
+        out = np.zeros(x.shape)
+        np.add.at(out, self.shares.columns, self.shares.x_bar)
+        return out
 
 
 @needs_jit
@@ -130,6 +149,25 @@ def test_forces_of_a_chamber(dim, supply, rng):
         assert number_bar[k] == pytest.approx(expected, rel=DOT_PRODUCT, abs=1e-11)
     one, other = (forces.vjp(x, numbers, change)[0] for change in changes)
     assert (one * changes[1]).sum() == pytest.approx((other * changes[0]).sum(), rel=1e-12)
+
+
+@needs_jit
+@DIM
+def test_forces_on_a_patch(dim, rng):
+    """Its adjoint, and the product of its tangent, which is not symmetric: the rim is free."""
+    forces = Forces(dim, "patch")
+    x = forces.x + 0.03 * rng.normal(size=forces.x.shape)
+    numbers, bar = np.array([0.7, 0.3, 0.0]), rng.normal(size=x.shape)
+    moves = rng.normal(size=(2, *x.shape))
+    x_bar, number_bar = forces.vjp(x, numbers, bar)
+    h = 1e-2  # the forces are polynomials of second order: central differences are exact
+    slopes = [(forces.on_points(x + h * m, numbers) - forces.on_points(x - h * m, numbers)) / (2 * h) for m in moves]
+    assert (x_bar * moves[0]).sum() == pytest.approx((bar * slopes[0]).sum(), rel=DOT_PRODUCT)
+    one = (bar * forces.on_points(x, numbers)).sum()
+    assert number_bar[:2] == pytest.approx([one / 0.7, one / 0.3], rel=DOT_PRODUCT)
+    for move, slope in zip(moves, slopes, strict=True):
+        assert forces.jvp(x, numbers, move) == pytest.approx(slope, rel=1e-9, abs=1e-12)
+    assert abs((moves[1] * slopes[0]).sum() - (moves[0] * slopes[1]).sum()) > 1e-3
 
 
 # --- in scenes ------------------------------------------------------------------------------------------------------
@@ -201,6 +239,24 @@ def measured(run):
 
 
 @needs_jit
+@pytest.mark.parametrize("start", ["rest_shape", "equilibrium"])
+def test_the_gradient_with_a_pressure_on_a_patch(start, tmp_path):
+    """An open patch on the upper side: at equilibrium the tangent is not symmetric."""
+    top = "{box: {corner: [0.06, 0.065], size: [0.04, 0.01]}}"
+    given = [
+        f"start={start}", f"actuators={{push: {{surface_pressure: {{body: finger, region: {top}, pressure: 800}}}}}}",
+        "activation.signals={push: [0.8, 1]}", "measure=null", "objective.big=null",
+        "unknowns.actuators.air.chamber.pressure=null", "unknowns.activation.signals.air.0=null",
+        "unknowns.actuators.push.surface_pressure.pressure={bounds: [100, 2000]}",
+    ]  # fmt: skip
+    run, agrees = run_gradcheck(finger(tmp_path), given, tmp_path / "out", threads=1)
+    assert agrees
+    rows = json.loads((run / "gradcheck.json").read_text())["rows"]
+    assert len(rows) == 3
+    assert max(row["error"] for row in rows) < 1e-7
+
+
+@needs_jit
 def test_what_is_measured(tmp_path):
     """The work of a given pressure is p dV summed over control steps."""
     run = run_simulate(finger(tmp_path), ["activation.signals.air=[1]"], tmp_path / "out", threads=1)
@@ -234,6 +290,15 @@ BAD = {
     "the same twice": (
         ["actuators.air.chamber.each={a: [0.04, 0.05], b: [0.08, 0.05]}", "activation=null", "unknowns=null"],
         "'a' and 'b' are in one cavity",
+    ),
+    "a patch of nothing": (
+        [
+            "actuators={p: {surface_pressure: {body: finger, pressure: 1, "
+            "region: {box: {corner: [0.05, 0.034], size: [0.01, 0.006]}}}}}",
+            "activation=null",
+            "unknowns=null",
+        ],
+        "no part of the surface of 'finger' lies in the region",
     ),
     "two supplies": (["actuators.air.chamber.gas=100"], "needs exactly one of `pressure`, `gas` and `liquid`"),
     "no supply": (["actuators.air.chamber.pressure=null"], "has none"),

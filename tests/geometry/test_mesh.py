@@ -13,6 +13,7 @@ import trimesh
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.geometry.lattice import Lattice
 from cqrun.geometry.mesh import Mesh
+from cqrun.geometry.skin import make_skin
 
 
 @pytest.fixture
@@ -191,3 +192,30 @@ def test_mesh_needs_a_3d_world() -> None:
     assert "a mesh needs a 3D world" in Mesh(file="a.stl").dim_problems(2)[0][1]
     assert Mesh(file="a.stl", rotation=[0.0, 0.0, 9.0]).dim_problems(3) == []
     assert Mesh(file="a.stl", angle=9.0).dim_problems(3)[0][0] == ("angle",)
+
+
+@pytest.mark.parametrize("cut", [False, True], ids=["closed", "with a cavity"])
+def test_distances_find_the_surface_that_inside_finds(cut, tmp_path):
+    """A turned and scaled box: signs, normals, and the points of its skin."""
+    box = trimesh.creation.box((0.4, 0.2, 0.1))
+    hollow = trimesh.creation.box((0.2, 0.1, 0.04))
+    surface = trimesh.util.concatenate([box, hollow]) if cut else box
+    body = saved(surface, tmp_path / "box.stl", rotation=[10.0, 20.0, 30.0], scale=2.0, offset=[1.0, 0.0, 0.0])
+    x = np.random.default_rng(1).uniform(-0.5, 0.5, (500, 3)) + np.array([1.0, 0.0, 0.0])
+    found = body.distance(x)
+    assert found is not None
+    distance, normal = found
+    assert np.array_equal(distance < 0, body.inside(x))
+    assert np.linalg.norm(normal, axis=1) == pytest.approx(1.0)
+    near = np.abs(distance) < 0.02
+    ahead = body.distance(x[near] + 1e-3 * normal[near])
+    assert ahead is not None
+    assert np.median(np.abs(ahead[0] - distance[near] - 1e-3)) < 1e-9  # but for edges, and places between two faces
+    given, plain = (make_skin(body.inside, *body.bounds(), 0.04, way) for way in (body.distance, None))
+    assert given.x == pytest.approx(plain.x, abs=4e-5)
+    assert given.area.sum() == pytest.approx(plain.area.sum(), rel=1e-4)
+
+
+def test_an_open_mesh_has_no_distance(sphere, tmp_path):
+    holed = without(sphere, np.arange(len(sphere.faces)) < 3)
+    assert saved(holed, tmp_path / "holed.stl").distance(np.zeros((1, 3))) is None
