@@ -95,7 +95,8 @@ class Chamber(Actuator):
             raise complaint("Chamber", [finding(message, involves=SUPPLIES)])
         chosen = [name for name in ("region", "at", "each") if getattr(self, name) is not None]
         if len(chosen) > 1:
-            message = f"{listed([f'`{name}`' for name in chosen])} all say which cavities are meant: give one of them"
+            names = " and ".join(f"`{name}`" for name in chosen)
+            message = f"{names} say which cavities are meant: give only one of them"
             raise complaint("Chamber", [finding(message, involves=tuple(chosen))])
         return self
 

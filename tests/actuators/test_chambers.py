@@ -304,7 +304,7 @@ BAD = {
     "no supply": (["actuators.air.chamber.pressure=null"], "has none"),
     "at and each": (
         ["actuators.air.chamber.each={a: [0.04, 0.05]}", "actuators.air.chamber.at=[0.04, 0.05]"],
-        "`at` and `each` all say which cavities are meant",
+        "`at` and `each` say which cavities are meant",
     ),
     "a region without": (
         ["actuators.air.chamber.region={box: {corner: [0.02, 0.03], size: [0.01, 0.01]}}"],
