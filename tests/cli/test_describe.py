@@ -74,7 +74,7 @@ def test_what_may_be_left_out_is_optional():
 
 
 def test_nested_lists_are_shown():
-    assert "route: [m], list of list of number, required" in page("actuator", "cable")
+    assert "route: [m], list of list of number, optional" in page("actuator", "cable")
     assert re.search(r"markers: \[m\], name -> list of number, optional", page("synthetic"))
     assert "overrides: name -> value, optional" in page("recordings")
 
