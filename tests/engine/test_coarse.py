@@ -54,7 +54,7 @@ def test_the_coarse_stiffness_is_that_of_the_fine_one(always, dim, rng):
     assert equilibrium.preconditioner.add_coarse()
     coarse = equilibrium.preconditioner.coarse
     r = equilibrium.rollout
-    pulled = statics.pulled_points(equilibrium.run, r.loads, r.drive, equilibrium.push, equilibrium.control)
+    pulled = statics.pulled_points(equilibrium.run, r.loads, r.drive, equilibrium.control)
     K = coarse._stiffness(equilibrium.A, r.ghosts, pulled)
     assert abs(K - K.T).max() <= 1e-12 * abs(K).max()
     for _ in range(3):
