@@ -37,6 +37,9 @@ from cqrun.plugin.registry import plugin
 CLOSE = 0.1
 """Logarithms of principal stretches that differ by less take the series of the quotient."""
 
+SAME = 1e-16
+"""Square of a difference that is small enough for the series with any exponent."""
+
 
 class OgdenKernel(NamedTuple):
     """Kernels' view: rows mu_1 [Pa], alpha_1, ... of up to three terms, and K [Pa] or nu."""
@@ -141,24 +144,33 @@ def term_rows(mu: Any, alpha: Any, e: Any, q: Any) -> Any:
     return a + b + c, mu * (a * e[0] + b * e[1] + c * e[2])
 
 
-def term_quotients(mu: Any, alpha: Any, e: Any, b: Any) -> Any:
+def term_quotients(mu: Any, alpha: Any, e: Any, pairs: Any) -> Any:
     """Return (tau_i - tau_j) / (b_i - b_j) of the pairs 12, 13, 23."""
     p = powers(alpha, e)
     return (
-        quotient(mu, alpha, p[0], p[1], e[0] - e[1], b[0], b[1]),
-        quotient(mu, alpha, p[0], p[2], e[0] - e[2], b[0], b[2]),
-        quotient(mu, alpha, p[1], p[2], e[1] - e[2], b[1], b[2]),
+        quotient(mu, alpha, p[0], p[1], pairs[0]),
+        quotient(mu, alpha, p[0], p[2], pairs[1]),
+        quotient(mu, alpha, p[1], p[2], pairs[2]),
     )
 
 
 @register_jitable
-def quotient(mu: Any, alpha: Any, p: Any, r: Any, x: Any, b: Any, d: Any) -> Any:
-    """Return mu (p - r) / (b - d) for l_i^alpha = p and l_j^alpha = r, x = log(l_i / l_j)."""
+def quotient(mu: Any, alpha: Any, p: Any, r: Any, pair: Any) -> Any:
+    """Return mu (p - r) / (b - d) for l_i^alpha = p and l_j^alpha = r, and what `pair_of` returns."""
+    x, apart, together = pair
     y = 0.5 * alpha * x
     close = below(x * x, x * 0.0 + CLOSE * CLOSE) & below(y * y, y * 0.0 + 1.0)
-    series = 0.5 * mu * alpha * sqrt(p * r / (b * d)) * sinhc(y) / sinhc(x)
-    apart = select(close, x * 0.0 + 1.0, b - d)
-    return select(close, series, mu * (p - r) / apart)
+    return mu * select(close, 0.5 * alpha * sqrt(p * r) * sinhc(y) * together, (p - r) * apart)
+
+
+@register_jitable
+def pair_of(x: Any, b: Any, d: Any) -> Any:
+    """Return x = log(l_i / l_j), 1 / (b - d) and 1 / (sqrt(b d) sinhc(x)): what all terms have in common.
+
+    The first quotient is not used, and is 1, where b - d may be zero.
+    """
+    one = x * 0.0 + 1.0
+    return x, 1.0 / select(below(x * x, SAME * one), one, b - d), 1.0 / (sqrt(b * d) * sinhc(x))
 
 
 @register_jitable
@@ -175,7 +187,7 @@ def sinhc(y: Any) -> Any:
 tensions = over_terms(term_tensions, "tensions", "e")
 slopes = over_terms(term_slopes, "slopes", "e, q")
 rows_bar = over_terms(term_rows, "rows_bar", "e, q", joined=True)
-quotients = over_terms(term_quotients, "quotients", "e, b")
+quotients = over_terms(term_quotients, "quotients", "e, pairs")
 
 
 # --- the law ----------------------------------------------------------------------------------------------------------
@@ -262,7 +274,8 @@ def both(term: Any, theta: Any, F: Any, tau_bar: Any) -> Any:
     e_bar = slopes(theta, e, q)
     mean = (e_bar[0] + e_bar[1] + e_bar[2]) * (1.0 / 6.0)
     b_bar = (0.5 * e_bar[0] - mean) / b[0], (0.5 * e_bar[1] - mean) / b[1], (0.5 * e_bar[2] - mean) / b[2]
-    B_bar = turned(Q, with_diagonal(b_bar, quotients(theta, e, b), bar))
+    pairs = pair_of(e[0] - e[1], b[0], b[1]), pair_of(e[0] - e[2], b[0], b[2]), pair_of(e[1] - e[2], b[1], b[2])
+    B_bar = turned(Q, with_diagonal(b_bar, quotients(theta, e, pairs), bar))
     zero = e[0] * 0.0
     tau = turned(Q, with_diagonal(tensions(theta, e), (zero, zero, zero), F))
     return tau, rows_bar(theta, e, q), scale(mul(B_bar, F), 2.0)
