@@ -13,6 +13,8 @@ units of a scene
   modulus, pressure, stress    Pa       180 kPa = 1.8e5, 1.2 MPa = 1.2e6, 1 N/mm^2 = 1e6, 1 bar = 1e5, 1 psi = 6895
   viscosity                    Pa s     1 mPa s = 0.001
   force                        N        50 mN = 0.05, 10 g weigh 0.0981
+  torque                       N m
+  moment of inertia            kg m^2
   stiffness of a spring        N/m      0.3 N/mm = 300
   velocity, acceleration       m/s, m/s^2
   rate, frequency              1/s, Hz

@@ -113,7 +113,7 @@ PLAIN_TEXT = {
     ("nearest_marker", "markers"), ("nearest_marker", "marker"),
     ("poses", "markers"), *((kind, field) for kind in ("poses", "force", "moment") for field in ("loads", "ignore")),
     *((kind, field) for kind in ("force", "moment") for field in ("column", "time")),
-    ("measured", "component"),
+    ("measured", "component"), ("chamber", "each"), ("chamber_pressure", "part"), ("chamber_volume", "part"),
 }  # fmt: skip
 """Fields of plug-ins of the package that hold text and refer to no other part of the scene, and to no file."""
 
