@@ -16,13 +16,14 @@ from cqrun.state import State
 MATERIAL = {"density": 1000, "elastic": {"neo_hookean": {"youngs_modulus": 1e5, "poissons_ratio": 0.3}}}
 
 
-def built(shapes: dict[str, Any], **boundaries: Any) -> Built:
+def built(shapes: dict[str, Any], actuators: dict[str, Any] | None = None, **boundaries: Any) -> Built:
     """Return a scene with bodies that have these shapes."""
     bodies = {name: {"shape": shape, "particles_per_cell": 4, "material": MATERIAL} for name, shape in shapes.items()}
     world = {"size": [0.3, 0.2], "dx": 0.01}
     time = {"duration": 0.1, "control_step": 0.02}
     boundaries = boundaries or {"roof": {"separate": {"face": "y_max"}}}
-    return build(load_scene({"cqrun": 1, "world": world, "bodies": bodies, "boundaries": boundaries, "time": time}))
+    scene = {"cqrun": 1, "world": world, "bodies": bodies, "boundaries": boundaries, "time": time}
+    return build(load_scene(scene | ({"actuators": actuators} if actuators else {})))
 
 
 def box(x: float, y: float, width: float, height: float) -> dict[str, Any]:
@@ -93,3 +94,17 @@ def test_each_thing_is_told_once_with_its_first_time() -> None:
     for control in (0, 1, 2):
         passing.at_control(control, state)
     assert [sentence.split(" (")[0] for sentence in passing.findings()] == ["'a' leaves the world at t = 0 s"]
+
+
+HOLLOW = {"difference": [box(0.05, 0.05, 0.2, 0.1), box(0.07, 0.07, 0.16, 0.06)]}
+
+
+@pytest.mark.parametrize(("gap", "told"), [(0.02, False), (0.004, False), (0.0, True), (-0.001, True)])
+def test_walls_of_a_chamber_that_touch(gap: float, told: bool) -> None:
+    """The upper wall sags until its middle is this far from the lower one."""
+    scene = built({"a": HOLLOW}, actuators={"air": {"chamber": {"body": "a", "pressure": 1.0}}})
+    x = scene.particles.x.copy()
+    upper = (x[:, 1] > 0.13) & (np.abs(x[:, 0] - 0.15) < 0.08)
+    x[upper, 1] -= (0.06 - gap) * np.sin(np.pi * (x[upper, 0] - 0.07) / 0.16) ** 2
+    found = [sentence for sentence in seen(scene, x) if sentence.startswith("walls of 'a' touch at t = 0.5 s")]
+    assert bool(found) == told
