@@ -1,4 +1,4 @@
-"""Fit Young's modulus and the friction of its guides to eight poses of the silicone tentacle at rest, on two grids.
+"""Fit Young's modulus of the silicone tentacle to its eight poses at rest, on two grids.
 
     python benchmarks/tentacle.py --recordings DIR [--only coarse fine ...] [--runs DIR] [--out FILE]
 
@@ -25,7 +25,6 @@ from cqrun.store.result import SysidResult, require_result
 ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "scenes" / "sysid" / "tentacle.yaml"
 MODULUS = "bodies.arm.material.elastic.fixed_corotated.youngs_modulus"
-FRICTION = "actuators.one.cable.friction"
 FITS: dict[str, list[str]] = {
     "coarse": [],
     "fine": ["world.dx=0.0045", f"{MODULUS}=3.6e5"],
@@ -73,9 +72,8 @@ def main() -> None:
         result[name] = fit(name, poses, options.runs)
         source = {"command": "python benchmarks/tentacle.py --recordings DIR", "machine": machine()}
         write_json(options.out, {**result, **source, "engine": engine_hash(), "rod_model_mm": ROD_MODEL_MM})
-        found, errors = result[name]["unknowns"], result[name]["recordings"]["poses"]
-        young, friction = found[MODULUS]["value"], found[FRICTION]["value"]
-        print(f"{name}: E {young / 1e3:.1f} kPa, friction {friction:.3f}, {errors['mean_mm']:.2f} mm", flush=True)
+        young, errors = result[name]["unknowns"][MODULUS], result[name]["recordings"]["poses"]
+        print(f"{name}: E {young['value'] / 1e3:.1f} kPa, {errors['mean_mm']:.2f} mm", flush=True)
 
 
 if __name__ == "__main__":
