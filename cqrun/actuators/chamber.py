@@ -8,7 +8,7 @@ tangent is symmetric. Where the chamber is closed, p depends on V (`closed_chamb
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -284,14 +284,14 @@ def _places(skin: Skin, walls: list[Array]) -> str:
 
 
 @kernel
-def swell(chambers: ChamberKernel, item: int, levels: Levels, control: int, q: Array) -> None:
-    """Write the shares of one facet."""
+def swell(chambers: Any, item: int, levels: Levels, control: int, q: Array) -> None:
+    """Write the shares of one facet of a chamber, or of a patch of the surface."""
     a = chambers.parts[item]
     press_facet(chambers.shares, chambers.shares.begin[item], levels.activation[control, a] * levels.strength[a], q)
 
 
 @kernel
-def swell_vjp(chambers: ChamberKernel, item: int, levels: Levels, control: int, q: Array, push_bar: Array) -> None:
+def swell_vjp(chambers: Any, item: int, levels: Levels, control: int, q: Array, push_bar: Array) -> None:
     """Carry the cotangent of the forces back through the facet's normal."""
     a, shares = chambers.parts[item], chambers.shares
     u, p = levels.activation[control, a], levels.strength[a]

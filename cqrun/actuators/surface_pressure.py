@@ -16,9 +16,10 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from cqrun.actuators.actuator import Actuator
+from cqrun.actuators.chamber import swell, swell_vjp
 from cqrun.errors import UsageError
-from cqrun.forces.force import ACTIVATION, STRENGTH, Inside, Levels, Riding, Shares, Skin, register_force
-from cqrun.forces.wall import each_facet, facet_work, press_facet, press_facet_jvp, press_facet_vjp, wall_constants
+from cqrun.forces.force import Inside, Levels, Riding, Shares, Skin, register_force
+from cqrun.forces.wall import each_facet, press_facet_jvp, wall_constants
 from cqrun.numerics.compile import kernel
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin, quantity
@@ -80,24 +81,6 @@ class SurfacePressure(Actuator):
 
 
 @kernel
-def weigh(patches: PatchKernel, item: int, levels: Levels, control: int, q: Array) -> None:
-    """Write the shares of one facet."""
-    a = patches.parts[item]
-    press_facet(patches.shares, patches.shares.begin[item], levels.activation[control, a] * levels.strength[a], q)
-
-
-@kernel
-def weigh_vjp(patches: PatchKernel, item: int, levels: Levels, control: int, q: Array, push_bar: Array) -> None:
-    """Carry the cotangent of the forces back through the facet's normal."""
-    a, shares = patches.parts[item], patches.shares
-    u, p = levels.activation[control, a], levels.strength[a]
-    work, g = facet_work(shares, shares.begin[item], q, push_bar)
-    shares.level_bar[item, :] = 0.0
-    shares.level_bar[item, ACTIVATION], shares.level_bar[item, STRENGTH] = p * work, u * work
-    press_facet_vjp(shares, shares.begin[item], u * p, 0.0, q, g)
-
-
-@kernel
 def weigh_jvp(patches: PatchKernel, item: int, levels: Levels, control: int, q: Array, move: Array) -> None:
     """Write how the shares change with a displacement of the points."""
     a = patches.parts[item]
@@ -105,4 +88,4 @@ def weigh_jvp(patches: PatchKernel, item: int, levels: Levels, control: int, q: 
     press_facet_jvp(patches.shares, patches.shares.begin[item], pressure, q, move)
 
 
-register_force(PatchKernel, each_facet, weigh, weigh_vjp, rate=False, own=slice(0, 0), exert_jvp=weigh_jvp)
+register_force(PatchKernel, each_facet, swell, swell_vjp, rate=False, own=slice(0, 0), exert_jvp=weigh_jvp)

@@ -11,7 +11,7 @@ from little_worlds import needs_jit
 
 from cqrun.actuators.chamber import Chamber, ChamberKernel, swell, swell_vjp
 from cqrun.actuators.closed_chamber import ClosedKernel, swell_closed, swell_closed_vjp
-from cqrun.actuators.surface_pressure import PatchKernel, SurfacePressure, weigh, weigh_jvp, weigh_vjp
+from cqrun.actuators.surface_pressure import PatchKernel, SurfacePressure, weigh_jvp
 from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.forces.force import Kind, Levels, Skin, make_forces
@@ -83,7 +83,7 @@ class Forces:
         (self.kernel,), self.shares = make_forces(kinds, dim)
         self.exert, self.exert_vjp = {
             ClosedKernel: (swell_closed, swell_closed_vjp), ChamberKernel: (swell, swell_vjp),
-            PatchKernel: (weigh, weigh_vjp),
+            PatchKernel: (swell, swell_vjp),
         }[spec.kernel]  # fmt: skip
         self.rest = spec.rest_size(riding.x, riding.constants)
 
