@@ -190,9 +190,10 @@ class Meeting:
             self.branches["leaves"] += 1
             self.springs[s] = 0
             return 0 * g
-        slides = (K * length).real >= (self.mu * N).real
+        mu = self.mu if model.meeting.rubs else 0.0
+        slides = (K * length).real >= (mu * N).real
         self.branches["slides" if slides else "sticks"] += 1
         if slides:
-            after = after * self.mu * N / (K * length)
+            after = after * mu * N / (K * length)
         self.springs[s] = after
         return N * n - K * after

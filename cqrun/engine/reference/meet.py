@@ -172,7 +172,8 @@ def press_in_vjp(meeting: Meeting, s: int, spring: Any, dt: float, after_bar: An
     mu_bar, h_bar, n_bar, v_bar, spring_bar = meet_vjp(
         K, C, meeting.surface.onset, meeting.friction, dt, h, n, v, spring, force_bar, after_bar
     )
-    meeting.friction_bar[s] += mu_bar
+    if meeting.springs > 0:
+        meeting.friction_bar[s] += mu_bar
     # h = |g| and n = -g / h
     g_bar = sub(scale(sub(n_bar, scale(n, dot(n, n_bar))), -1.0 / h), scale(n, h_bar)) if h > 0.0 else ZERO
     x_bar, a_bar, b_bar, c_bar = nearest_vjp(

@@ -118,9 +118,10 @@ def make_meeting(model: Model, surface: Surface, coefficients: Array, n_threads:
         margin / (4.0 * growth_of(surface.points)),
     )  # fmt: skip
     vectors = [np.zeros((s, 3)) for _ in range(6)]
+    friction = float(coefficients[len(model.conditions)]) if model.meeting.rubs else 0.0
     return (
         Meeting(
-            surface, facets, lists, pairs, np.zeros(n_threads, np.int64), float(coefficients[len(model.conditions)]),
+            surface, facets, lists, pairs, np.zeros(n_threads, np.int64), friction,
             model.meeting.dashpot, int(model.meeting.rubs), model.n_springs - s, np.full(s, -1), *vectors,
             np.zeros((s, 4, 3)), np.zeros((s, 3)), np.zeros((s, 3)), np.zeros((s, 3)), np.zeros(s),
             zero_bars(surface.points, False),
