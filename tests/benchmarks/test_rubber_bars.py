@@ -1,7 +1,8 @@
-"""A bar of each law of rubber, pulled to 200 % nominal strain: the force that the law's formula says.
+"""A bar of each law of rubber, pulled to 200 % nominal strain, and a sheet to 100 %: the force of the law's formula.
 
 In 3D the bar is free at its sides (uniaxial tension), in 2D it keeps its width across the plane (planar tension). Its
-foot is in a grip, and its stretch is measured in its middle, as an extensometer does.
+foot is in a grip, and its stretch is measured in its middle, as an extensometer does. The sheet is a quarter of one
+that is pulled at its four sides (equibiaxial tension): its other two sides slip on planes of symmetry.
 """
 
 from __future__ import annotations
@@ -58,6 +59,38 @@ def scene(dim: int, name: str, force: float) -> dict[str, Any]:
     }
 
 
+SIDE, THICK, CORNER = 0.03, 0.005, 0.005
+
+
+def sheet(name: str, stress: float) -> dict[str, Any]:
+    """Return a quarter of a square sheet across z, pulled at two sides with a force per area at rest."""
+    force, loads, path, planes = stress * SIDE * THICK, {}, {}, {}
+    for axis in (0, 1):
+        corner, size = [CORNER] * 3, [SIDE, SIDE, THICK]
+        corner[axis], size[axis] = CORNER + SIDE - DX, DX
+        region = {"box": {"corner": corner, "size": size}}
+        loads[f"pull_{axis}"] = {"point_force": {"body": "sheet", "region": region, "force": [0.0, 0.0, 0.0]}}
+        path[f"loads.pull_{axis}.point_force.force.{axis}"] = {"first": force / 4, "last": force, "points": 4}
+        plane = {"point": [CORNER] * 3, "normal": [float(axis == k) for k in range(3)]}
+        planes[f"plane_{axis}"] = {"slip": {"region": {"half_space": plane}}}
+    planes["pin"] = {"sticky": {"region": {"box": {"corner": [0, 0, CORNER + DX], "size": [CORNER, CORNER, 1e-4]}}}}
+    return {
+        "cqrun": 1,
+        "job": "rest",
+        "world": {"size": [0.08, 0.08, 0.02], "dx": DX},
+        "bodies": {
+            "sheet": {
+                "shape": {"box": {"corner": [CORNER] * 3, "size": [SIDE, SIDE, THICK]}},
+                "particles_per_cell": 8,
+                "material": {"density": 1000, "elastic": {name: LAWS[name] | {"poissons_ratio": RATIO}}},
+            }
+        },
+        "boundaries": planes,
+        "loads": loads,
+        "path": path,
+    }
+
+
 CASES = [
     pytest.param(dim, name, id=f"{mode} {name}", marks=[] if (dim, name) == (2, "yeoh") else pytest.mark.slow)
     for dim, mode in ((2, "planar"), (3, "uniaxial"))
@@ -79,3 +112,18 @@ def test_the_force_at_200_percent_is_that_of_the_law(name, dim, tmp_path):
     stretch = np.polyfit(rest[middle], x[middle], 1)[0]
     found = float(nominal_stress(spec, theta, mode, np.array([stretch]))[0])
     assert found == pytest.approx(wanted, rel=0.01)
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) for name in LAWS])
+def test_the_force_on_a_sheet_at_100_percent_is_that_of_the_law(name, tmp_path):
+    spec = plugins("elastic")[name](**LAWS[name], poissons_ratio=RATIO)
+    theta = np.array([getattr(spec, parameter) for parameter in spec.parameters])
+    wanted = float(nominal_stress(spec, theta, "equibiaxial", np.array([2.0]))[0])
+    loaded = load_scene(sheet(name, wanted))
+    rest = sample(loaded).x - CORNER
+    x = read_trajectory(REST.start("sheet", loaded, tmp_path) / "trajectory.h5").fields["x"][-1]
+    middle = (rest[:, :2].min(axis=1) > 0.2 * SIDE) & (rest[:, :2].max(axis=1) < 0.7 * SIDE)
+    for axis in (0, 1):
+        stretch = np.polyfit(rest[middle, axis], x[middle, axis], 1)[0]
+        found = float(nominal_stress(spec, theta, "equibiaxial", np.array([stretch]))[0])
+        assert found == pytest.approx(wanted, rel=0.01)
