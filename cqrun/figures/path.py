@@ -43,7 +43,11 @@ def draw_path(run: RunData) -> Figure:
     label_along, along = along_path(run, columns)
     force, _ = force_units(scene.dim)
     moved = {name: 1e3 * size for name, size in _displacements(run, columns).items()}
-    forces = {name: _length(columns, f"{name}.force_") for name in scene.boundaries if f"{name}.force_x" in columns}
+    forces = {
+        name: _length(columns, f"{name}.force_")
+        for name in (*scene.boundaries, *scene.rigid)
+        if f"{name}.force_x" in columns
+    }
     panels = [("displacement [mm]", moved), (f"reaction [{force}]", forces)]
     panels = [(label, lines) for label, lines in panels if lines]
     figure = new_figure(3.4 * len(panels), 2.8)

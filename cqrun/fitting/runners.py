@@ -148,7 +148,8 @@ class AtRest:
         """Return the records of bodies that do not move; no boundary has to hold them."""
         model, count = self.built.model, len(self.points) + 1
         size = model.dim + (1 if model.dim == 2 else 3)
-        held = {condition.name: np.zeros((count, size)) for condition in model.conditions}
+        names = [*(condition.name for condition in model.conditions), *(body.name for body in model.rigid)]
+        held = {name: np.zeros((count, size)) for name in names}
         return RestRecords.joined(_still(self.built, count), held)
 
     def gradient(

@@ -13,20 +13,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from cqrun.actuators.chamber import is_chamber
-from cqrun.build.check_frame import TOO_COARSE, touched
+from cqrun.build.check_frame import TOO_COARSE
 from cqrun.build.check_holds import unheld_problems
 from cqrun.build.history import remembering
 from cqrun.build.load_path import idle_actuators, inputs_of, points_of
 from cqrun.build.model import Built
 from cqrun.build.thickness import thinnest_parts
+from cqrun.engine.model import Inputs
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.newton import Rest
 from cqrun.engine.statics.path import Point, RestPath
+from cqrun.engine.statics.touching import poses_at_rest
 from cqrun.errors import Problem, SceneError, StopAsked
 from cqrun.explain import listed
 from cqrun.jobs.job import NO_FILES, Job
@@ -43,6 +45,7 @@ from cqrun.scene.schema import Scene
 from cqrun.store.rest_point import RestPoint
 from cqrun.store.rest_points import delete_points, read_point, write_point
 from cqrun.store.result import RestResult, write_result
+from cqrun.store.rigid_motion import RigidMotions
 from cqrun.store.run import RunDirectory
 
 TOLERANCE = 1e-8
@@ -126,8 +129,10 @@ class RestJob(Job[Resting, RestResult]):
             measured = measuring.end(records, at_rest=True)
             if not found[-1].converged:
                 writer.abandon()
-            elif measured is not None:
-                writer.add(measured)
+            else:
+                for beside in (measured, rigid_at_rest(built, inputs)):
+                    if beside is not None:
+                        writer.add(beside)
         unloaded = path.start.smallest_eigenvalue(path.rest_shape)
         self._end(run, built, found, [*passing.findings(), *_findings(found, unloaded)], measuring, talk)
 
@@ -175,6 +180,18 @@ class RestJob(Job[Resting, RestResult]):
 REST = RestJob("rest", RestResult, pictures=("bodies", "path", "measured"))
 
 
+def rigid_at_rest(built: Built, inputs: Sequence[Inputs]) -> RigidMotions | None:
+    """Return where rigid bodies are at the start and at every point, for pictures; None if there are none."""
+    model = built.model
+    if not model.rigid:
+        return None
+    rows = [poses_at_rest(model, each) for each in inputs]
+    found = {body.name: np.array([0.0 * rows[0][body.name], *(row[body.name] for row in rows)]) for body in model.rigid}
+    return RigidMotions(
+        np.arange(len(rows) + 1.0), found, {body.name: body.center[: model.dim] for body in model.rigid}
+    )
+
+
 def require_no_time(scene: Scene) -> None:
     """Raise a SceneError for what has no meaning at rest."""
     if problems := [Problem(scene.where(path), path, message) for path, message in _needs_time(scene)]:
@@ -185,10 +202,7 @@ def _needs_time(scene: Scene) -> Iterator[tuple[str, str]]:
     """Yield what has no meaning at rest."""
     if scene.world.frame != "reference":
         yield "world.frame", "a body rests in the reference frame: set `world.frame: reference`"
-    for path, kind in touched(scene):
-        yield path, f"an equilibrium does not feel `{kind}` boundaries yet: remove it, or make it `sticky` or `slip`"
-    for name in scene.rigid:
-        yield f"rigid.{name}", "an equilibrium does not feel rigid bodies yet: remove it, or use `cqrun simulate`"
+    yield from _rubbing(scene)
     for path, name in remembering(scene):
         yield path, f"the stress of `{name}` has a history, and so no equilibrium: remove it, or use `cqrun simulate`"
     if scene.bodies_meet:
@@ -197,6 +211,27 @@ def _needs_time(scene: Scene) -> Iterator[tuple[str, str]]:
         yield "controller", "a controller acts in time: remove it, and give activations in `path`"
     if scene.precision != "float64":
         yield "precision", TOO_COARSE.format(scene.precision)
+
+
+def _rubbing(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield friction, which has no equilibrium of its own, and rigid bodies that are not where the scene says."""
+    for name, chosen in scene.boundaries.items():
+        path, spec = f"boundaries.{name}.{chosen.name}", cast(Any, chosen.value)
+        if getattr(spec, "is_obstacle", False) and (getattr(spec, "coefficient", 0.0) > 0 or not spec.has_surface):
+            yield path, "an equilibrium feels contact without friction alone: make it `separate`, `sticky` or `slip`"
+        if getattr(spec, "to", None) is not None:
+            yield f"{path}.to", "a patch cannot be glued to a rigid body at rest yet: give it a `displacement`"
+    for name, measure in scene.measure.items():
+        if measure.name == "rigid_motion":
+            yield f"measure.{name}.{measure.name}", "a rigid body at rest is where the scene says: remove it"
+    for name, body in scene.rigid.items():
+        if body.free:
+            yield (
+                f"rigid.{name}.motion",
+                "a rigid body at rest does not move freely: make it `fixed`, or give it a `path`",
+            )
+        if body.friction > 0 or f"rigid.{name}.friction" in scene.unknowns:
+            yield f"rigid.{name}.friction", "an equilibrium feels contact without friction alone: set it to 0"
 
 
 def _idle(scene: Scene) -> Iterator[tuple[str, str]]:

@@ -15,6 +15,7 @@ from cqrun.errors import SceneError
 from cqrun.geometry.ball import Ball
 from cqrun.geometry.box import Box
 from cqrun.geometry.cylinder import Cylinder
+from cqrun.jobs.rest import require_no_time
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
 
@@ -102,6 +103,59 @@ def test_what_cannot_be_is_refused(name):
     data, message = REFUSED[name]
     with pytest.raises(SceneError) as raised:
         build(load_scene(data))
+    assert message in str(raised.value)
+
+
+def glued(**rigid: Any) -> dict[str, Any]:
+    """Return the scene with a patch of the block glued to a rigid body, and these rigid bodies beside the jaw."""
+    patch = {"sticky": {"region": {"box": {"corner": [0.38, 0.1], "size": [0.02, 0.1]}}, "to": "jaw"}}
+    return scene(boundaries={"patch": patch}, rigid={"jaw": JAW} | rigid)
+
+
+UNGLUED = {
+    "a free body": (
+        {"jaw": BALL},
+        "boundaries.patch.sticky.to: the rigid body 'jaw' moves freely, and nothing can be glued to it yet",
+    ),
+    "an offset": ({"jaw": JAW | {"offset": [0.01, 0.0]}}, "the rigid body 'jaw' has an `offset`"),
+    "a start elsewhere": (
+        {"jaw": JAW | {"path": [{"time": 0.0, "displacement": [0.1, 0.0]}]}},
+        "the path of 'jaw' begins elsewhere than its shape",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNGLUED)
+def test_what_a_patch_cannot_be_glued_to_is_refused(name):
+    rigid, message = UNGLUED[name]
+    with pytest.raises(SceneError) as raised:
+        build(load_scene(glued(**rigid)))
+    assert message in str(raised.value)
+
+
+def test_a_glued_patch_turns_about_the_centre_of_its_body():
+    built = build(load_scene(glued()))
+    np.testing.assert_allclose(built.model.centers["patch"], [0.55, 0.15])
+    with pytest.raises(SceneError, match="there is no rigid body 'claw'"):
+        load_scene(scene(boundaries={"patch": {"sticky": {"face": "x_min", "to": "claw"}}}))
+    with pytest.raises(SceneError, match="displacement: has no effect: the rigid body 'jaw' carries it; remove it"):
+        load_scene(scene(boundaries={"patch": {"sticky": {"face": "x_min", "to": "jaw", "displacement": [0.1, 0.0]}}}))
+
+
+RESTLESS = {
+    "friction": ({"jaw": JAW | {"friction": 0.2}}, "rigid.jaw.friction: an equilibrium feels contact without friction"),
+    "a free body": ({"ball": BALL | {"friction": 0.0}}, "rigid.ball.motion: a rigid body at rest does not move freely"),
+}
+
+
+@pytest.mark.parametrize("name", RESTLESS)
+def test_what_has_no_equilibrium_is_refused(name):
+    rigid, message = RESTLESS[name]
+    clamp = {"sticky": {"region": {"box": {"corner": [0.1, 0.1], "size": [0.4, 0.02]}}}}
+    floor = {"separate": {"face": "y_min", "thickness": 0.09}}
+    require_no_time(load_scene(scene(boundaries={"clamp": clamp, "floor": floor}, rigid={"jaw": JAW})))
+    with pytest.raises(SceneError) as raised:
+        require_no_time(load_scene(scene(boundaries={"clamp": clamp, "floor": floor}, rigid=rigid)))
     assert message in str(raised.value)
 
 

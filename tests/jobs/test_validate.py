@@ -168,7 +168,7 @@ def test_a_scene_at_rest_shows_its_points_and_no_motion(tmp_path):
 
 def test_what_rest_refuses_is_not_called_valid(tmp_path):
     (tmp_path / "rest.yaml").write_text(AT_REST + "  floor: {friction: {face: y_min, coefficient: 0.5}}\n")
-    with pytest.raises(SceneError, match="an equilibrium does not feel `friction` boundaries yet"):
+    with pytest.raises(SceneError, match="an equilibrium feels contact without friction alone"):
         list(validate(tmp_path / "rest.yaml"))
 
 

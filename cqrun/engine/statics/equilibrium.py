@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from cqrun.engine.statics.passes import find_bars, find_change, find_change_vjp,
 from cqrun.engine.statics.precondition import REFRESH, Preconditioner
 from cqrun.engine.statics.reactions import Holder, holders, resultant, resultant_vjp
 from cqrun.engine.statics.tangent import rows_of
+from cqrun.engine.statics.touching import contact_names, make_contact_at_rest
 from cqrun.engine.statics.volumes import MeanVolumes
 from cqrun.forces.force import is_unsymmetric
 from cqrun.numerics.lanes import lane_width
@@ -74,8 +76,9 @@ class Equilibrium:
         fading = {name for group in model.groups for name in group.fading}
         if lasting := [field.name for field in model.layout.history if field.name not in fading]:
             raise ValueError(f"a material with a history ({', '.join(lasting)}) has no equilibrium of its own")
-        alone = replace(model, surface=None, obstacles=(), reactions=(), static=True)  # contact is not felt at rest
+        alone = replace(model, surface=None, obstacles=(), rigid=(), reactions=(), static=True)
         self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
+        self.contact = make_contact_at_rest(model, inputs, self.rollout.rest)
         self.control, self.run = control, self.rollout.bundle
         self.symmetric = not any(is_unsymmetric(type(force)) for force in self.rollout.drive.forces)
         self.solver = conjugate_gradients if self.symmetric else minimal_residuals
@@ -91,7 +94,9 @@ class Equilibrium:
         self._each(lambda crew: begin_control(self.rollout.drive, self.run, self.colours, control, crew))
         self.outside = self.run.outside.copy()
         self.volumes = MeanVolumes(self.rollout) if any(self.rollout.means) else None
-        self.preconditioner = Preconditioner(self.rollout, self.A, self.holding, self.volumes, control, slow=slow)
+        self.preconditioner = Preconditioner(
+            self.rollout, self.A, self.holding, self.volumes, control, slow=slow, contact=self.contact
+        )
 
     @property
     def size(self) -> int:
@@ -108,6 +113,8 @@ class Equilibrium:
                 r.parts, r.loads, r.ghosts, r.drive, self.run, self.colours, u, self.still, self.control, crew
             )
         )
+        if self.contact is not None:
+            self.run.force[:, :3] += self.contact.forces(u)
         return self.holding.freed(self.run.force + self.outside)
 
     def linearise(self, u: Array) -> None:
@@ -119,6 +126,8 @@ class Equilibrium:
         )
         if self.volumes is not None:
             self.volumes.prepare()
+        if self.contact is not None:
+            self.contact.linearise(u)
         self.preconditioner.prepare()
 
     def product(self, p: Array) -> Array:
@@ -216,7 +225,12 @@ class Equilibrium:
         the arms of the nodes where they are now.
         """
         force = self.reactions(u)
-        return {name: resultant(holder, u, force) for name, holder in self.holders().items()}
+        found = {name: resultant(holder, u, force) for name, holder in self.holders().items()}
+        return found if self.contact is None else found | self.contact.held_by(u)
+
+    def held_names(self) -> tuple[str, ...]:
+        """Return the names of all that have forces and moments in `held_by`."""
+        return (*self.holders(), *contact_names(self.contact))
 
     def holders(self) -> dict[str, Holder]:
         """Return the nodes that every boundary holds, by its name."""
@@ -240,14 +254,18 @@ class Equilibrium:
         u_bar, f_bar = back.q_bar[0].copy(), np.zeros_like(u)
         if held_bar:
             f_bar = self._add_held_bar(u, held_bar, u_bar)
-        bar, solve = self.gradient_of_nodes(u, u_bar, f_bar, tolerance=tolerance)
+        bar, solve = self.gradient_of_nodes(u, u_bar, f_bar, tolerance=tolerance, held_bar=held_bar or {})
         bar.state.x += back.moving_bar()
         return bar, solve
 
     def gradient_of_nodes(
-        self, u: Array, u_bar: Array, f_bar: Array | None = None, *, tolerance: float = 1e-10
-    ) -> tuple[Inputs, AdjointSolve]:
-        """Return the cotangent of the inputs at an equilibrium, from those of displacements and net forces (M, 4)."""
+        self, u: Array, u_bar: Array, f_bar: Array | None = None, *, tolerance: float = 1e-10,
+        held_bar: Mapping[str, tuple[Array, Array]] = MappingProxyType({}),
+    ) -> tuple[Inputs, AdjointSolve]:  # fmt: skip
+        """Return the cotangent of the inputs at an equilibrium, from those of displacements and net forces (M, 4).
+
+        `held_bar` has those of what bodies touch, whose part of `u_bar` is there already.
+        """
         self.rollout.final = self._at(u)
         back = ReferenceBackward(self.rollout, LossBar(), reverses=False)
         loss_bar = u_bar.copy()
@@ -265,9 +283,12 @@ class Equilibrium:
             )
         )  # fmt: skip
         bar = back.inputs_bar()
-        held_bar = (u_bar + back.bundle.sums[::2])[:, : self.dim]  # of held nodes, directly and through forces
+        if self.contact is not None:
+            self.contact.add_bars(u, adjoint, held_bar, bar)
+            back.bundle.sums[::2, :3] += self.contact.change(adjoint)
+        there = (u_bar + back.bundle.sums[::2])[:, : self.dim]  # of held nodes, directly and through forces
         for moves in r.moves:
-            there_bar = held_bar[moves.nodes]
+            there_bar = there[moves.nodes]
             pose_bar = np.zeros((len(self.one), 1, self.dim + self.dim**2))
             rows = np.concatenate(
                 [there_bar, np.einsum("hi,hj->hij", there_bar, moves.arm).reshape(len(there_bar), -1)], axis=1
@@ -284,6 +305,8 @@ class Equilibrium:
                 r_bar, a_bar = resultant_vjp(holder, u, force, *held_bar[name])
                 f_bar[holder.nodes, : self.dim] -= r_bar
                 u_bar[holder.nodes, : self.dim] += a_bar
+        if self.contact is not None:
+            u_bar[:, :3] += self.contact.u_bar(u, held_bar)
         return np.asarray(f_bar - self.holding.freed(f_bar))
 
     def loose_bodies(self) -> dict[str, int]:
@@ -359,6 +382,8 @@ class Equilibrium:
         self._each(lambda crew: find(r.loads, r.ghosts, r.drive, self.run, self.A, self.colours, p, self.control, crew))
         if self.volumes is not None:
             self.run.force[:, : self.dim] -= self.volumes.product(p[:, : self.dim])
+        if self.contact is not None:
+            self.run.force[:, :3] += self.contact.change(p)
         return self.run.force
 
     def _places(self) -> Array:

@@ -16,6 +16,7 @@ import numpy as np
 
 from cqrun.engine.model import Inputs, Model, Records
 from cqrun.engine.reference.rest import nodes_before
+from cqrun.engine.rigid_model import OFFSET
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.newton import Rest
 from cqrun.engine.statics.precondition import REFRESH
@@ -135,7 +136,7 @@ class RestPath:
         self.rest_shape = np.zeros_like(unloaded.still)
         self.rows = [unloaded.record(self.rest_shape)]
         size = model.dim + (1 if model.dim == 2 else 3)
-        self.held = {name: [np.zeros(size)] for name in unloaded.holders()}
+        self.held = {name: [np.zeros(size)] for name in unloaded.held_names()}
         self.start = unloaded
 
     def equilibrium(self, inputs: Inputs) -> Equilibrium:
@@ -265,7 +266,7 @@ class RestPath:
         return out
 
 
-MIXED = ("activation", "strength", "rest", "friction", "weights", "moves")
+MIXED = ("activation", "strength", "rest", "friction", "weights", "moves", "rigid", "waypoints")
 """The inputs that change on the way, beside fields and terms."""
 
 
@@ -311,8 +312,10 @@ def between(a: Inputs, b: Inputs, s: float) -> Inputs:
 
 
 def _unloaded(inputs: Inputs) -> Inputs:
-    """Return the inputs without loads and actuation."""
+    """Return the inputs without loads and actuation, and with rigid bodies where their shapes are."""
+    rigid = inputs.rigid.copy()
+    rigid[:, OFFSET] = 0.0
     return replace(
         inputs, fields=replace(inputs.fields, force=inputs.fields.force * 0.0), strength=inputs.strength * 0.0,
-        moves=inputs.moves * 0.0,
+        moves=inputs.moves * 0.0, rigid=rigid, waypoints=inputs.waypoints * 0.0,
     )  # fmt: skip

@@ -14,6 +14,7 @@ from cqrun.engine.statics.coarse import CoarseSpace, pulled_points
 from cqrun.engine.statics.holding import Holding
 from cqrun.engine.statics.incompressible import MOST_CORNERS, Squeeze
 from cqrun.engine.statics.tangent import add_blocks
+from cqrun.engine.statics.touching import StillContact
 from cqrun.engine.statics.volumes import MeanVolumes
 from cqrun.plugin.contract import Array
 
@@ -37,6 +38,7 @@ class Preconditioner:
         volumes: averaged volumes, or none.
         control: the control step whose activations act.
         slow: whether the coarse space is made at once, because equilibria like this one needed it.
+        contact: what bodies touch, or none.
 
     Attributes:
         coarse: the coarse space, once there is one.
@@ -44,8 +46,10 @@ class Preconditioner:
     """
 
     def __init__(
-        self, rollout: Any, A: Array, holding: Holding, volumes: MeanVolumes | None, control: int, *, slow: bool
-    ) -> None:
+        self, rollout: Any, A: Array, holding: Holding, volumes: MeanVolumes | None, control: int, *, slow: bool,
+        contact: StillContact | None = None,
+    ) -> None:  # fmt: skip
+        self.contact = contact
         self.rollout, self.A, self.holding, self.volumes = rollout, A, holding, volumes
         self.run, self.dim, self.control = rollout.bundle, rollout.model.dim, control
         self.active = self.run.nodes.active
@@ -120,6 +124,8 @@ class Preconditioner:
         for ghost in self.rollout.ghosts:
             scale = np.add.reduceat(ghost.factor**2 * ghost.scale[ghost.runs], ghost.begin[:-1])
             blocks[ghost.nodes[:, None], np.arange(self.dim), np.arange(self.dim)] += scale[:, None]
+        if self.contact is not None:
+            self.contact.add_blocks(blocks)
         return np.asarray(blocks[self.active])
 
     def _free_inverse(self) -> Array:

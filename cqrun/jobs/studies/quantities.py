@@ -112,7 +112,7 @@ def _at_rest(run: Path, built: Built) -> Iterator[tuple[str, Quantity]]:
         for group in built.scene.bodies[body].groups:
             for axis in AXES[: built.scene.dim]:
                 yield f"{body}.{group}.d{axis}", Quantity(row[f"{body}.{group}.d{axis}"], "m")
-    for boundary in built.scene.boundaries:
+    for boundary in (*built.scene.boundaries, *built.scene.rigid):
         for key in (key for key in row if key.startswith((f"{boundary}.force_", f"{boundary}.moment"))):
             yield key, Quantity(row[key], moment if ".moment" in key else force)
 
