@@ -23,6 +23,9 @@ from cqrun.scene.schema import Scene
 PER_AXIS = 2
 """Particles in a cell along each axis, at least: with one, nodes can move in ways that no particle feels."""
 
+SLIVERS = 0.05
+"""A fitted lattice has particles with slivers of the shape added, so that their mean is larger than a cell of it."""
+
 ROUNDING = 1e-6
 
 TOO_COARSE = "is {}, too coarse for bodies at rest: use float64"
@@ -119,7 +122,8 @@ def _thin(scene: Scene, particles: Particles) -> Iterator[tuple[str, str]]:
     """Yield bodies with too few particles."""
     for name, spacing in particles.spacing.items():
         per_axis = scene.world.dx / spacing
-        if per_axis < PER_AXIS * (1 - ROUNDING):
+        slack = SLIVERS if getattr(scene.bodies[name].sampling.value, "fitted", False) else ROUNDING
+        if per_axis < PER_AXIS * (1 - slack):
             need = PER_AXIS**scene.dim
             yield (
                 f"bodies.{name}.particles_per_cell",

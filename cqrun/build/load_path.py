@@ -46,11 +46,14 @@ def inputs_of(built: Built, point: Mapping[str, float], values: Mapping[str, Arr
 
 
 def idle_actuators(built: Built) -> dict[str, str]:
-    """Return what is wrong with each actuator that nothing activates at rest, by the key path of its strength."""
+    """Return what is wrong with each actuator that nothing activates at rest, by the key path of its strength.
+
+    A spring, or a cable with a stiffness, whose neutral activation is 1, pulls without a motor once it is stretched.
+    """
     actuation, found = built.assembly.actuation, {}
     last = actuation.activations(built.assembly.sequence, {})[-1]
     for part, activation, neutral in zip(actuation.parts, last, actuation.neutral, strict=True):
-        if activation == neutral:
+        if activation == neutral == 0.0:
             path = f"{part.path}.{part.spec.scale}"
             found[path] = (
                 f"'{path}' does nothing, because the activation of '{part.name}' is {activation:g} at rest: give "
