@@ -99,7 +99,7 @@ def fit(name: str, recordings: Path, runs: Path, more: Sequence[str] = ()) -> di
     return {
         "command": shlex.join(["cqrun", "sysid", f"scenes/sysid/{scene.name}", *words]),
         "engine": facts["engine"],
-        **result.model_dump(include={"status", "iterations", "unknowns", "recordings", "findings"}),
+        **result.model_dump(include={"status", "iterations", "unknowns", "moduli", "recordings", "findings"}),
     }
 
 

@@ -29,7 +29,7 @@ def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
     return Track(
         *motion, activation, goals, CONTROL_STEP, 2.0 + 0.1 * design, a_reaction(dim, rng), strength, rest, terms,
         0.5 + rng.uniform(size=N_WEIGHTS), made_matter(dim).x, np.linspace(0.2, 0.5, N_ACTUATORS + 1),
-        {"stone": rng.normal(size=(N_CONTROLS + 1, 6 if dim == 2 else 12))},
+        {name: rng.normal(size=(N_CONTROLS + 1, 6 if dim == 2 else 12)) for name in ("stone", "jaw")},
     )  # fmt: skip
 
 

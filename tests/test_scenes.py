@@ -374,7 +374,17 @@ def test_walkers_stand_on_the_floor_in_gradient_checks(name):
     assert x[:, 1].min() - ground < 1.5 * dx
 
 
-@moving_scenes
+OWN_KERNELS = {"gripper_tendon"}
+"""Scenes whose gradient needs kernels that no other test compiles, for minutes; tests/engine has that of each part."""
+
+gradient_scenes = pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=pytest.mark.slow if path.stem in OWN_KERNELS else ()) for path in MOVING],
+    ids=[path.stem for path in MOVING],
+)
+
+
+@gradient_scenes
 def test_the_gradient_of_a_scene_agrees_with_differences(path, tmp_path):
     scene = load_scene(path)
     # a controller needs a few steps until its effect exceeds rounding

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from cqrun.explain import complaint, finding
 from cqrun.measures.measure import AXES, BoundMeasure, Measure
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import means
@@ -30,6 +31,21 @@ class RigidMotion(Measure):
     of: Literal["displacement", "rotation", "velocity", "spin"] = Field(
         description="Which of its numbers", default="displacement"
     )
+    relative_to: RigidName | None = Field(
+        description="Another rigid body, whose displacement or velocity is subtracted: how the first one slips in it",
+        default=None,
+    )
+
+    @model_validator(mode="after")
+    def _subtracts_vectors(self) -> Self:
+        if self.relative_to == self.rigid:
+            raise complaint("RigidMotion", [finding("is the body itself: name another rigid body", ("relative_to",))])
+        if self.relative_to is not None and self.of in ("rotation", "spin"):
+            message = (
+                "is for a displacement or a velocity: rotations of two bodies are no vectors to subtract; remove it"
+            )
+            raise complaint("RigidMotion", [finding(message, ("relative_to",), involves=("of",))])
+        return self
 
     @property
     def known_late(self) -> bool:
@@ -46,8 +62,10 @@ class BoundRigidMotion(BoundMeasure):
     instant = False
 
     def __init__(self, spec: RigidMotion, matter: Matter) -> None:
-        dim, self.rigid = matter.dim, spec.rigid
+        dim, self.rigid, self.other = matter.dim, spec.rigid, spec.relative_to
         self.rows, self.unit, self.meaning = means([], matter.n_particles), UNITS[spec.of], f"{spec.of} of {spec.rigid}"
+        if self.other is not None:
+            self.meaning += f" relative to {self.other}"
         self.turns = spec.of == "rotation" and dim == 2
         sizes = {"displacement": dim, "rotation": 2 * dim - 3, "velocity": dim, "spin": 2 * dim - 3}
         first = sum(size for name, size in list(sizes.items())[: list(sizes).index(spec.of)])
@@ -56,12 +74,15 @@ class BoundRigidMotion(BoundMeasure):
         self.low, self.high = np.full(len(self.components), -1.0), np.ones(len(self.components))
 
     def values(self, track: Track) -> Array:
-        return np.asarray(track.rigid[self.rigid][:, self.columns])
+        values = track.rigid[self.rigid][:, self.columns]
+        return np.asarray(values if self.other is None else values - track.rigid[self.other][:, self.columns])
 
     def values_vjp(self, track: Track, bar: Array) -> TrackBar:
         rigid_bar = np.zeros(track.rigid[self.rigid].shape)
         rigid_bar[:, self.columns] = bar
-        return TrackBar(rigid={self.rigid: rigid_bar})
+        if self.other is None:
+            return TrackBar(rigid={self.rigid: rigid_bar})
+        return TrackBar(rigid={self.rigid: rigid_bar, self.other: -rigid_bar})
 
     def continuous(self, values: Array) -> Array:
         return np.unwrap(values, axis=0) if self.turns else values

@@ -1,7 +1,7 @@
 """A rigid ball pressed into an elastic layer: the force of Hertz's law, corrected for a layer that is glued below.
 
-H. Hertz (1882): a half-space feels F = 4/3 E / (1 - nu^2) sqrt(R d^3) at the depth d. E. K. Dimitriadis et al. (Biophys.
-J. 82, 2002, equations 6 and 13) multiply it by a series in chi = sqrt(R d) / thickness. The law is for small strains, so
+H. Hertz (1882): a half-space feels F = 4/3 E / (1 - nu^2) sqrt(R d^3) at the depth d. E. K. Dimitriadis et al.
+(Biophysical Journal 82, 2002) multiply it by a series in chi = sqrt(R d) / thickness. The law is for small strains, so
 the ball is large: R is 20 contact radii.
 """
 

@@ -28,7 +28,7 @@ LAWS: dict[str, dict[str, float]] = {
     "yeoh": {"c10": 1.6e4, "c20": -300.0, "c30": 90.0},
     "gent": {"mu": 3.2e4, "jm": 25.0},
     "arruda_boyce": {"mu": 3.0e4, "lock": 3.0},
-    "ogden": {"mu_1": 4.0e4, "alpha_1": 1.3, "mu_2": 80.0, "alpha_2": 5.0},
+    "ogden": {"mu_1": 2.0e4, "alpha_1": 2.4, "mu_2": 40.0, "alpha_2": 5.0, "mu_3": -500.0, "alpha_3": -2.0},
 }
 RATIO, STRETCH, LENGTH, WIDTH, DX = 0.4999, 3.0, 0.06, 0.01, 0.0025
 
@@ -59,7 +59,7 @@ def scene(dim: int, name: str, force: float) -> dict[str, Any]:
     }
 
 
-SIDE, THICK, CORNER = 0.03, 0.005, 0.005
+SIDE, THICK, CORNER, STRIP = 0.03, 0.005, 0.005, 0.5 * DX
 
 
 def sheet(name: str, stress: float) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def sheet(name: str, stress: float) -> dict[str, Any]:
     force, loads, path, planes = stress * SIDE * THICK, {}, {}, {}
     for axis in (0, 1):
         corner, size = [CORNER] * 3, [SIDE, SIDE, THICK]
-        corner[axis], size[axis] = CORNER + SIDE - DX, DX
+        corner[axis], size[axis] = CORNER + SIDE - STRIP, STRIP
         region = {"box": {"corner": corner, "size": size}}
         loads[f"pull_{axis}"] = {"point_force": {"body": "sheet", "region": region, "force": [0.0, 0.0, 0.0]}}
         path[f"loads.pull_{axis}.point_force.force.{axis}"] = {"first": force / 4, "last": force, "points": 4}
@@ -77,7 +77,7 @@ def sheet(name: str, stress: float) -> dict[str, Any]:
     return {
         "cqrun": 1,
         "job": "rest",
-        "world": {"size": [0.08, 0.08, 0.02], "dx": DX},
+        "world": {"size": [0.2, 0.2, 0.02], "dx": DX},
         "bodies": {
             "sheet": {
                 "shape": {"box": {"corner": [CORNER] * 3, "size": [SIDE, SIDE, THICK]}},

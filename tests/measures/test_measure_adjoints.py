@@ -60,7 +60,10 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "chamber_pressure": [{"chamber": name} for name in ("air", "gas", "oil")],
         "work": [{"actuator": name} for name in WORKING],
         "reaction": [{"boundary": "clamp"}, {"boundary": "floor", "of": "moment", "on": "boundary"}],
-        "rigid_motion": [{"rigid": "stone", "of": what} for what in ("displacement", "rotation", "velocity", "spin")],
+        "rigid_motion": [
+            *({"rigid": "stone", "of": what} for what in ("displacement", "rotation", "velocity", "spin")),
+            {"rigid": "stone", "of": "velocity", "relative_to": "jaw"},
+        ],
     }  # fmt: skip
 
 

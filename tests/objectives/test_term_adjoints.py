@@ -57,6 +57,13 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
             {"quantity": "cable"}, {"quantity": "held", "component": "x"},
             {"quantity": "energy"},
         ],
+        "hold": [
+            {"rigid": "stone"}, {"rigid": "stone", "by": "jaw", "begin": 0.1},
+            {"rigid": "stone", "body": "arm", "group": "tip", "end": 0.15, "squared": False},
+        ],
+        "lift": [  # on both sides of the height
+            {"rigid": "stone", "height": 9.0}, {"rigid": "stone", "height": 0.0, "axis": "x", "begin": 0.1},
+        ],
         "height": [{"body": "arm", "group": "tip"}, {"body": "ball", "axis": "x"}],
         "contact_free": [
             {"body": "arm", "height": 0.1, "margin": 0.2},  # about half of the particles are too deep

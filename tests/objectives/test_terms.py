@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -133,6 +134,42 @@ def test_contact_free_counts_depth_below_height_and_margin():
     assert value(clear) == 0.0, "the arm is 0.2 above"
     depth = np.maximum(0.3 - MATTER.x[members, 1], 0.0)
     assert value(term("contact_free", body="arm", height=0.25, margin=0.05)) == pytest.approx(np.mean(depth**2))
+
+
+def gripped(spec: ObjectiveTerm, stone: Any, jaw: Any = (0.0,) * 6) -> float:
+    """Return the value of a term for rigid bodies with displacement, rotation, velocity and spin (6,) at every time."""
+    bound = spec.bind(MATTER)
+    rigid = {name: np.broadcast_to(rows, (N_CONTROLS + 1, 6)) for name, rows in (("stone", stone), ("jaw", jaw))}
+    return bound.value(replace(motion(bound.rows, v=[0.5, 0.0]), rigid=rigid))
+
+
+def test_a_rigid_body_that_moves_with_its_hand_is_held():
+    stone, jaw = [0.1, 0.2, 0, 0.3, -0.4, 9], [0, 0, 1, 0.3, -0.4, 0]
+    assert gripped(term("hold", rigid="stone"), stone) == pytest.approx(0.25)
+    assert gripped(term("hold", rigid="stone", squared=False, over="maximum"), stone) == pytest.approx(0.5)
+    assert gripped(term("hold", rigid="stone", by="jaw"), stone, jaw) == 0.0
+    assert gripped(term("hold", rigid="stone", body="arm", over="final"), stone) == pytest.approx(0.2**2 + 0.4**2)
+    half = term("hold", rigid="stone", begin=TIMES[2], end=TIMES[3])
+    assert gripped(half, stone) == pytest.approx(0.25 * 2 / N_CONTROLS)
+
+
+def test_a_rigid_body_that_is_too_low_is_not_lifted():
+    assert gripped(term("lift", rigid="stone", height=0.3), [0.1, 0.2, 0, 0, 0, 0]) == pytest.approx(0.01)
+    assert gripped(term("lift", rigid="stone", height=0.3, axis="x"), [0.1, 0.2, 0, 0, 0, 0]) == pytest.approx(0.04)
+    assert gripped(term("lift", rigid="stone", height=0.1), [0.1, 0.2, 0, 0, 0, 0]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "message"),
+    [
+        ("hold", {"by": "jaw", "body": "arm"}, "has `by` and `body`: give one of them"),
+        ("hold", {"by": "stone"}, "'stone' cannot hold itself"),
+        ("lift", {"height": 0.1, "begin": 99}, "counts from 99 s, in which no control step of the run ends"),
+    ],
+)
+def test_what_cannot_be_held_is_refused(name, fields, message):
+    with pytest.raises(UsageError, match=message):
+        term(name, rigid="stone", **fields).bind(MATTER)
 
 
 @pytest.mark.parametrize(
