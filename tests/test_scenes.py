@@ -19,7 +19,6 @@ from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.jobs.control import run_codesign, run_control
 from cqrun.jobs.gradcheck import run_gradcheck
-from cqrun.jobs.rest import REST
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.table import report_lines
@@ -273,48 +272,6 @@ def test_the_shape_files_agree_with_their_script():
 def of_job(*jobs: str) -> pytest.MarkDecorator:
     """Return a decorator that runs a test for the scenes of some jobs."""
     return pytest.mark.parametrize("path", [p for p in SCENES if job_of(p) in jobs], ids=lambda path: path.stem)
-
-
-HOLLOW = (
-    "{difference: [{box: {corner: [0, 0, 0], size: [0.1, 0.02, 0.02]}}, "
-    "{box: {corner: [0.004, 0.004, 0.004], size: [0.092, 0.012, 0.012]}}]}"
-)
-
-
-def pipe(x: float, ends: tuple[float, float], hole: tuple[float, float], radius: float) -> str:
-    """Return a thick pipe along z around (x, x), closed at both ends, whose hole has a radius of 6 mm."""
-    outer, inner = (f"start: [{x}, {x}, {low}], end: [{x}, {x}, {high}]" for low, high in (ends, hole))
-    return f"{{difference: [{{cylinder: {{{outer}, radius: {radius}}}}}, {{cylinder: {{{inner}, radius: 0.006}}}}]}}"
-
-
-COARSE = {
-    "bellows": [
-        "world.dx=0.004", f"bodies.bellows.shape={pipe(0.022, (0.006, 0.042), (0.014, 0.034), 0.015)}",
-        "path={actuators.air.chamber.pressure: [100]}",
-    ],
-    "fiber_reinforced": [
-        "world.dx=0.004", "bodies.tube.spacing=0.002",
-        f"bodies.tube.shape={pipe(0.018, (0.012, 0.084), (0.02, 0.076), 0.015)}",
-        "path={actuators.air.chamber.pressure: [100]}",
-    ],
-    "indenter": ["world.dx=0.006", "path={rigid.ball.offset.2: [-0.002]}"],
-    "tensile_bar": ["world.dx=0.005", "path={boundaries.head.sticky.displacement.0: [0.012]}"],
-    "pneunet": [
-        "world.dx=0.004", "bodies.actuator.spacing=0.002", f"bodies.actuator.shape={HOLLOW}",
-        "bodies.actuator.groups.layer.box.size.2=0.002", "path={actuators.air.chamber.pressure: [100]}",
-    ],
-}  # fmt: skip
-"""Overrides that make an equilibrium faster to find than those of `world.dx`."""
-
-
-@of_job("rest")
-def test_a_path_has_an_equilibrium_at_every_point(path, tmp_path):
-    run = REST.run(path, COARSE.get(path.stem, ["world.dx=0.01"]), tmp_path, threads=1)
-    result = result_of(run)
-    assert result["status"] == "done"
-    assert result["findings"] == []
-    assert all(point["residual"] < 1e-8 for point in result["points"])
-    assert next(iter(report_lines(run))).startswith("done: ")
 
 
 @of_job("control", "codesign")
