@@ -7,10 +7,12 @@ With s = J^(-2/3), B = F F^T, I1 = tr B and I2 = (I1^2 - tr B^2) / 2, all in 3D 
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 from numba.extending import register_jitable
+from pydantic import model_validator
 
+from cqrun.explain import complaint, finding
 from cqrun.materials.rubber import Rubber, Shape, out_of_plane, register_rubber
 from cqrun.numerics.roots import inverse_cube_root
 from cqrun.numerics.tensor import add, cofactor, det, inner, mul, mul_at, mul_bt, plus_diagonal, scale, sub, trace
@@ -38,6 +40,13 @@ class MooneyRivlin(Rubber):
     own: ClassVar[tuple[str, ...]] = ("c10", "c01")
     c10: float = quantity("Pa", "Coefficient of I1b - 3", differentiable=True)
     c01: float = quantity("Pa", "Coefficient of I2b - 3", differentiable=True, default=0.0)
+
+    @model_validator(mode="after")
+    def _has_a_shear_modulus(self) -> Self:
+        if not self.c10 + self.c01 > 0:
+            message = f"half the shear modulus at rest, c10 + c01, must be above 0, is {self.c10 + self.c01:g}"
+            raise complaint("MooneyRivlin", [finding(message, ("c01",), involves=("c10",))])
+        return self
 
 
 @register_jitable

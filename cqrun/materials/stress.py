@@ -21,49 +21,42 @@ def law_is_held(kernel_classes: Iterable[type]) -> bool:
     return any(map(holds_law, list(kernel_classes)[1:]))
 
 
-def total_kirchhoff(terms: Any, q: Array, i: int, F: Any, C: Any) -> Any:
-    """Return the sum of the Kirchhoff stresses of all terms for the lane of particles at i."""
-    if law_is_held(type(term) for term in terms):
-        return total_kirchhoff(terms[1:], q, i, F, C)
+def sum_of_stresses(terms: Any, q: Array, i: int, F: Any, C: Any) -> Any:
+    """Return the sum of the Kirchhoff stresses of terms."""
     theta = load_rows(terms[0].theta, terms[0].rows, i)
     tau = kirchhoff(terms[0], theta, F, C, load_history(terms[0], q, i))
-    return add(tau, total_kirchhoff(terms[1:], q, i, F, C)) if len(terms) > 1 else tau
+    return add(tau, sum_of_stresses(terms[1:], q, i, F, C)) if len(terms) > 1 else tau
 
 
-@overload(total_kirchhoff)
-def _total_kirchhoff(terms, q, i, F, C):
+@overload(sum_of_stresses)
+def _sum_of_stresses(terms, q, i, F, C):
     def one(terms, q, i, F, C):
         theta = load_rows(terms[0].theta, terms[0].rows, i)
         return kirchhoff(terms[0], theta, F, C, load_history(terms[0], q, i))
 
     def several(terms, q, i, F, C):
-        return add(one_of(terms, q, i, F, C), total_kirchhoff(terms[1:], q, i, F, C))
-
-    def held(terms, q, i, F, C):
-        return total_kirchhoff(terms[1:], q, i, F, C)
+        return add(one_of(terms, q, i, F, C), sum_of_stresses(terms[1:], q, i, F, C))
 
     one_of = register_jitable(one)
-    return held if law_is_held(term.instance_class for term in terms) else several if len(terms) > 1 else one
+    return several if len(terms) > 1 else one
 
 
-def total_kirchhoff_vjp(
+def sum_of_stresses_vjp(
     terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, C: Any, tau_bar: Any
 ) -> Any:
-    """Return (F_bar, C_bar); add to the cotangents of the parameters in terms_bar and of the histories in q_bar."""
-    if law_is_held(type(term) for term in terms):
-        return total_kirchhoff_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+    """Return (F_bar, C_bar) of `sum_of_stresses`, and add to the cotangents of parameters and histories."""
     theta = load_rows(terms[0].theta, terms[0].rows, i)
     bars = kirchhoff_vjp(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)
     accumulate_rows(terms_bar[0].theta, terms[0].rows, i, bars[0])
     accumulate_history(terms[0], q_bar, i, bars)
     if len(terms) == 1:
         return bars[1], bars[2]
-    F_more, C_more = total_kirchhoff_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+    F_more, C_more = sum_of_stresses_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
     return add(bars[1], F_more), add(bars[2], C_more)
 
 
-@overload(total_kirchhoff_vjp)
-def _total_kirchhoff_vjp(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
+@overload(sum_of_stresses_vjp)
+def _sum_of_stresses_vjp(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
     def one(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
         theta = load_rows(terms[0].theta, terms[0].rows, i)
         bars = kirchhoff_vjp(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)
@@ -73,34 +66,29 @@ def _total_kirchhoff_vjp(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
 
     def several(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
         F_bar, C_bar = one_of(terms, terms_bar, q, q_bar, i, F, C, tau_bar)
-        F_more, C_more = total_kirchhoff_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+        F_more, C_more = sum_of_stresses_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
         return add(F_bar, F_more), add(C_bar, C_more)
 
-    def held(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
-        return total_kirchhoff_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
-
     one_of = register_jitable(one)
-    return held if law_is_held(term.instance_class for term in terms) else several if len(terms) > 1 else one
+    return several if len(terms) > 1 else one
 
 
-def total_kirchhoff_both(
+def sum_of_stresses_both(
     terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, C: Any, tau_bar: Any
 ) -> Any:
-    """Return (tau, F_bar, C_bar): `total_kirchhoff` and `total_kirchhoff_vjp` in one."""
-    if law_is_held(type(term) for term in terms):
-        return total_kirchhoff_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+    """Return (tau, F_bar, C_bar): `sum_of_stresses` and `sum_of_stresses_vjp` in one."""
     theta = load_rows(terms[0].theta, terms[0].rows, i)
     found = kirchhoff_both(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)
     accumulate_rows(terms_bar[0].theta, terms[0].rows, i, found[1])
     accumulate_history(terms[0], q_bar, i, found[1:])
     if len(terms) == 1:
         return found[0], found[2], found[3]
-    more = total_kirchhoff_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+    more = sum_of_stresses_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
     return add(found[0], more[0]), add(found[2], more[1]), add(found[3], more[2])
 
 
-@overload(total_kirchhoff_both)
-def _total_kirchhoff_both(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
+@overload(sum_of_stresses_both)
+def _sum_of_stresses_both(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
     def one(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
         theta = load_rows(terms[0].theta, terms[0].rows, i)
         found = kirchhoff_both(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)
@@ -110,14 +98,49 @@ def _total_kirchhoff_both(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
 
     def several(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
         tau, F_bar, C_bar = one_of(terms, terms_bar, q, q_bar, i, F, C, tau_bar)
-        more = total_kirchhoff_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+        more = sum_of_stresses_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
         return add(tau, more[0]), add(F_bar, more[1]), add(C_bar, more[2])
 
-    def held(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
-        return total_kirchhoff_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
-
     one_of = register_jitable(one)
-    return held if law_is_held(term.instance_class for term in terms) else several if len(terms) > 1 else one
+    return several if len(terms) > 1 else one
+
+
+def acting(terms: Any, parts: Any) -> Any:
+    """Return the parts, one for each term, of the terms that act: all but a law whose stress another term holds."""
+    return parts[1:] if law_is_held(type(term) for term in terms) else parts
+
+
+@overload(acting)
+def _acting(terms, parts):
+    def but_the_law(terms, parts):
+        return parts[1:]
+
+    def every(terms, parts):
+        return parts
+
+    return but_the_law if law_is_held(term.instance_class for term in terms) else every
+
+
+@register_jitable
+def total_kirchhoff(terms: Any, q: Array, i: int, F: Any, C: Any) -> Any:
+    """Return the sum of the Kirchhoff stresses of all terms for the lane of particles at i."""
+    return sum_of_stresses(acting(terms, terms), q, i, F, C)
+
+
+@register_jitable
+def total_kirchhoff_vjp(
+    terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, C: Any, tau_bar: Any
+) -> Any:
+    """Return (F_bar, C_bar); add to the cotangents of the parameters in terms_bar and of the histories in q_bar."""
+    return sum_of_stresses_vjp(acting(terms, terms), acting(terms, terms_bar), q, q_bar, i, F, C, tau_bar)
+
+
+@register_jitable
+def total_kirchhoff_both(
+    terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, C: Any, tau_bar: Any
+) -> Any:
+    """Return (tau, F_bar, C_bar): `total_kirchhoff` and `total_kirchhoff_vjp` in one."""
+    return sum_of_stresses_both(acting(terms, terms), acting(terms, terms_bar), q, q_bar, i, F, C, tau_bar)
 
 
 def stress_slope(terms: Any, q: Array, i: int, F: Any, C: Any, tau_bar: Any) -> Any:

@@ -22,6 +22,9 @@ SOFTEST, STIFFEST = 1e4, 5e6
 SECANT = 0.5
 """The modulus that is compared with them is a secant up to this strain."""
 
+VAGUE = 4.0
+"""An interval of the modulus at rest that ends at more than so many times where it begins is warned about."""
+
 SLOPES = {"uniaxial": 3.0, "planar": 4.0, "equibiaxial": 6.0}
 """Slope of the nominal stress at rest, in shear moduli."""
 
@@ -75,7 +78,7 @@ def characterise(
     announce("comparing the laws")
     judged = judge(one_of_each(fits), curves)
     best = chosen(judged)
-    warnings = (*_sizes(curves), *_weaknesses(best))
+    warnings = (*_sizes(curves), *weaknesses(best))
     return Material(
         tuple(curves), tuple(fits), tuple(judged), best, ratio, warnings, tuple(_trust(curves, judged, best))
     )
@@ -102,13 +105,20 @@ def _sizes(curves: Sequence[Curve]) -> list[str]:
     return found
 
 
-def _weaknesses(best: Judged) -> list[str]:
+def weaknesses(best: Judged) -> list[str]:
     """Return warnings on the chosen law."""
     found = []
     for mode, stretch in best.unstable_in.items():
         found.append(
             f"{best.law.name} is unstable in {mode} tests from a stretch of {stretch:.3g}, inside the tested "
             "deformation (its nominal stress falls), and so is every other law: test other modes, or a smaller --range"
+        )
+    shear = best.certainty.shear
+    if shear is not None and shear[1] > VAGUE * shear[0]:
+        found.append(
+            "the modulus at rest is hardly determined: its 95 % interval ends at "
+            f"{shear[1] / shear[0]:.3g} times where it begins, because the law misses the curve at small strains; fit "
+            "those alone, as with --range :1"
         )
     worst = [finding for finding in best.certainty.findings if "hard to tell apart" not in finding]
     return [*found, *(f"{best.law.name}: {finding}" for finding in worst)]
@@ -155,7 +165,7 @@ def _spread(judged: Sequence[Judged], best: Judged, missing: Sequence[Mode]) -> 
         stresses = np.array([item.law.stress(item.fit.values, mode, stretch) for item in possible])
         here = best.law.stress(best.fit.values, mode, stretch)
         apart = float(np.max(np.ptp(stresses, axis=0) / np.max(here)))
-        parts.append(f"{apart:.0%} of the largest stress in {mode}")
+        parts.append(f"{apart:.0%} of the largest stress in {mode}" if apart < 1.0 else f"more than it in {mode}")
     return f"; the {len(possible)} laws that fit within {GOOD:.0%} differ there by up to {' and '.join(parts)}"
 
 

@@ -72,6 +72,38 @@ def test_the_gradient_through_a_motion(frame, tmp_path):
     assert max(row["error"] for row in rows) < 1e-8
 
 
+FIBRE = "fibre: {stiffness: 3.0e+5, directions: [[1, 0]]}"
+OTHERS = f"""\
+      {FIBRE}
+      incompressibility: {{power: 2}}
+"""
+
+
+@pytest.mark.parametrize("frame", ["reference", "updated"])
+def test_other_terms_of_the_stress_act_beside_it(frame, tmp_path):
+    """With a branch of no weight, fibres and incompressibility change a motion and a gradient as they do without it."""
+    before, low = SCENE.index("      prony:"), {}
+    scenes = {"alone": SCENE, "before": SCENE[:before] + OTHERS + SCENE[before:]}
+    weightless, none = [f"{PRONY}.ratio_1=1e-12"], [f"{PRONY}=null"]
+    for name, text, overrides in (
+        ("fibres", scenes["before"], none),
+        ("both", scenes["before"], weightless),
+        ("law", scenes["alone"], weightless),
+    ):
+        scene = written(tmp_path, text)
+        run = run_simulate(scene, [f"world.frame={frame}", "time.duration=0.05", *overrides], tmp_path / name)
+        low[name] = read_trajectory(run / "trajectory.h5").fields["x"][-1]
+    assert np.abs(low["law"] - low["fibres"]).max() > 1e-4
+    np.testing.assert_allclose(low["both"], low["fibres"], rtol=0, atol=1e-9)
+    stiffness = "unknowns={bodies.beam.material.fibre.stiffness: {bounds: [1.0e+5, 1.0e+6]}}"
+    scene = written(tmp_path, scenes["before"] + GRADIENT)
+    overrides = [f"world.frame={frame}", "time.duration=0.03", stiffness]
+    run, agrees = run_gradcheck(scene, overrides, tmp_path / "out", threads=1)
+    assert agrees
+    rows = json.loads((run / "gradcheck.json").read_text())["rows"]
+    assert all(abs(row["adjoint"]) > row["noise"] and row["error"] < 1e-6 for row in rows), rows
+
+
 def test_the_gradient_of_a_motion_from_an_equilibrium(tmp_path):
     """The law's stress at the equilibrium is where the branch begins, so it depends on the law and on the sag."""
     clamp = "boundaries.clamp.sticky={region: {box: {corner: [0, 0], size: [0.04, 0.16]}}, displacement: [0, 0.02]}"

@@ -7,6 +7,7 @@ import pytest
 from constitutive import N, make, richardson, rotations, t
 
 from cqrun.materials.gent import Gent
+from cqrun.materials.mooney_rivlin import MooneyRivlin
 from cqrun.materials.ogden import Ogden
 from cqrun.materials.yeoh import Yeoh
 
@@ -39,6 +40,7 @@ def test_a_state_beyond_gents_limit_has_no_stress(rng):
     [
         (Yeoh, {"c10": 1.0}, "needs one of `poissons_ratio`"),
         (Gent, {"mu": 1.0, "jm": 9.0, "poissons_ratio": 0.4, "bulk_modulus": 9.0}, "needs one of `poissons_ratio`"),
+        (MooneyRivlin, {"c10": 1.0, "c01": -2.0, "poissons_ratio": 0.4}, "c10 \\+ c01, must be above 0, is -1"),
         (Ogden, {"mu_1": 1.0, "alpha_1": -2.0, "poissons_ratio": 0.4}, "mu_1 alpha_1 must be above 0, is -2"),
         (
             Ogden,

@@ -14,7 +14,7 @@ from cqrun.tensile.certainty import certainty_of
 from cqrun.tensile.choice import chosen, first_invariant, judge, one_of_each
 from cqrun.tensile.fits import errors_by_mode, fit_law
 from cqrun.tensile.laws import all_laws, laws_of
-from cqrun.tensile.material import characterise
+from cqrun.tensile.material import characterise, weaknesses
 
 STRETCH = np.linspace(1.0, 3.0, 80)
 TRUE = {
@@ -67,6 +67,14 @@ def test_intervals_cover_the_truth(name):
         values.append(fit.values)
     assert np.mean(covered) > 0.85
     assert np.all(np.median(widths, axis=0) < 8.0 * np.std(values, axis=0))  # four for independent errors
+
+
+def test_a_modulus_that_is_hardly_determined_is_warned_about():
+    law = law_of("neo_hookean")
+    best = characterise([curve(law, TRUE["neo_hookean"], STRETCH, noise=0.005)], [law], 0.49).chosen
+    assert weaknesses(best) == []
+    vague = dataclasses.replace(best, certainty=dataclasses.replace(best.certainty, shear=(1e4, 1e6)))
+    assert "its 95 % interval ends at 100 times where it begins" in weaknesses(vague)[0]
 
 
 def test_numbered_fields_are_terms_and_both_terms_are_found():
