@@ -72,7 +72,8 @@ def standing(body: str, *at: float) -> str:
 SMALLER = {
     "real_beam": ["world.dx=0.01"],
     "real_beam_rest": ["world.dx=0.01"],
-    "tentacle": ["world.dx=0.012", "bodies.arm.spacing=0.006"],
+    "real_beam_material": ["world.dx=0.01"],
+    "tentacle": ["world.dx=0.012", "bodies.arm.spacing=0.006", "bodies.arm.shape.cone.end_radius=0.014"],
     "collision": ["bodies.a.shape.ball.center=[0.3, 0.4416]"],  # the balls touch from the start
     "finger_material": ["activation.random.sequences=2", "data.synthetic.copies=2"],
     "finger": ["bodies.finger.sampling.lattice.count=10"],
