@@ -11,6 +11,7 @@ import numpy as np
 from cqrun.errors import UsageError
 from cqrun.figures.colours import colours
 from cqrun.figures.dots import COVER_3D, Dots, OutlinedDots, add_dots, far_to_near
+from cqrun.figures.fibres import fibres_of, plot_fibres
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.rigid import extent_of, outlines, plot_rigid
 from cqrun.figures.run_data import TRAJECTORY, RunData
@@ -110,10 +111,12 @@ def draw_bodies(run: RunData) -> Figure:
     tall = [PANEL * float(np.clip((w[1, 1] - w[0, 1]) / (w[1, 0] - w[0, 0]), 0.25, 2.2)) for w in windows]
     figure = new_figure(PANEL * len(shots) + 1.3, sum(tall) + 0.35 * len(looks) + 0.75)
     panels = figure.subplots(len(looks), len(shots), squeeze=False, height_ratios=tall)
-    unit = length_unit(float(np.max(windows[0])))
+    unit, fibres = length_unit(float(np.max(windows[0]))), fibres_of(run.scene) if shots[0].frame == 0 else []
     for row, (look, corners) in enumerate(zip(looks, windows, strict=True)):
         for axes, shot, rgb in zip(panels[row], shots, shades, strict=True):
             plot_body(axes, run.scene, shot, look, corners, unit, rgb)
+            if axes is panels[row, 0]:
+                plot_fibres(axes, fibres, look, corners, unit.factor)
             axes.tick_params(labelleft=axes is panels[row, 0])
             if axes is not panels[row, 0]:
                 axes.set_ylabel("")
