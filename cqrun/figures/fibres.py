@@ -22,8 +22,10 @@ COLOUR, WIDTH = "white", 1.0
 
 
 def fibres_of(scene: Scene) -> list[tuple[Array, Array]]:
-    """Return where a scene has fibres: for each direction of a body, some positions at rest (n, D) [m] and the unit
-    vector (D,). Particles whose fibres have no stiffness are left out."""
+    """Return where a scene has fibres that are stiff, and their directions.
+
+    For each direction of a body: the positions of some particles at rest (n, D) [m], and the unit vector (D,).
+    """
     found: list[tuple[Array, Array]] = []
     if not any("fibre" in body.material.terms for body in scene.bodies.values()):
         return found

@@ -24,10 +24,9 @@ def test_fibres_are_where_they_are_stiff():
     every, left, none = (fibres_of(layered(*k)) for k in ((1e4, 1e4), (0.0, 1e4), (0.0, 0.0)))
     assert none == []
     assert [len(some) for some in (every, left)] == [2, 2]
-    for x, a in left:
+    for x, _ in left:
         assert len(x) <= MOST_LINES
         assert x[:, 0].max() < 0.045
-        assert np.linalg.norm(a) == 1.0 or abs(np.linalg.norm(a) - 1.0) < 1e-15
     assert every[0][0][:, 0].max() > 0.045
     np.testing.assert_allclose([a for _, a in left], [[1.0, 0.0], [0.5**0.5, 0.5**0.5]])
     assert fibres_of(load_scene(plane_scene({"bodies.a.material.density": {"bounds": [500, 2000]}}))) == []

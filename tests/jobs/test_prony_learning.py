@@ -7,6 +7,7 @@ import json
 import pytest
 from little_worlds import needs_jit
 from small_beam import Listener, assert_same, result_of
+from test_prony_jobs import SCENE
 
 from cqrun.errors import Stopped
 from cqrun.jobs.bench import run_bench_scene
@@ -18,32 +19,19 @@ from cqrun.store.history import read_history
 pytestmark = needs_jit
 
 RATIO = "bodies.beam.material.prony.ratio_1"
-SCENE = """\
-cqrun: 1
-world: {size: [0.18, 0.16], dx: 0.01, gravity: [0, -9.81], frame: reference}
-bodies:
-  beam:
-    shape: {box: {corner: [0.02, 0.1], size: [0.14, 0.03]}}
-    particles_per_cell: 4
-    groups: {low: {box: {corner: [0, 0], size: [0.18, 0.115]}}}
-    material:
-      density: 1070
-      elastic: {neo_hookean: {youngs_modulus: 1.5e5, poissons_ratio: 0.3}}
-      prony: {ratio_1: 0.4, time_1: 0.02}
-boundaries:
-  clamp: {sticky: {region: {box: {corner: [0, 0], size: [0.04, 0.16]}}}}
+LEARNING = """\
 actuators:
-  pull: {muscle: {body: beam, region: low, axis: [1, 0], strength: 5.0e+3}}
+  pull:
+    muscle: {body: beam, region: {box: {corner: [0, 0], size: [0.18, 0.115]}}, axis: [1, 0], strength: 5.0e+3}
 controller: {open_loop: {every: 2}}
 objective: {up: {height: {body: beam}}}
-time: {duration: 0.04, control_step: 0.005}
 optimizer: {adam: {max_iterations: 3, learning_rate: 0.1}}
 """
 
 
 @pytest.fixture
 def beam(tmp_path):
-    (tmp_path / "beam.yaml").write_text(SCENE)
+    (tmp_path / "beam.yaml").write_text(SCENE + LEARNING)
     return tmp_path / "beam.yaml"
 
 
