@@ -2,8 +2,8 @@
 
     python -m benchmarks.laws [--edge 20] [--rounds 15] [--only LAW ...] [--out FILE]
 
-writes benchmarks/measured/laws.csv. `--edge 40` is a block that no cache holds. The laws take turns, so that a change of
-the machine's speed meets all of them. The numbers are medians over the rounds, on one thread.
+writes benchmarks/measured/laws.csv. `--edge 40` is a block that no cache holds. The laws take turns, so that a change
+of the machine's speed meets all of them. The numbers are medians over the rounds, on one thread.
 """
 
 from __future__ import annotations
