@@ -20,7 +20,7 @@ import numpy as np
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel
 from cqrun.jobs.bench import falling_block
-from cqrun.materials.prony import Prony, shape_stress
+from cqrun.materials.prony import Prony
 from cqrun.plugin.registry import plugins
 from cqrun.running.excerpt import Excerpt
 from cqrun.state import Layout, State
@@ -74,8 +74,6 @@ def excerpt(name: str, frame: str, edge: int, real: Any) -> Excerpt:
     if history:
         blank = State.at_rest(state.x, history)
         blank.v[:], blank.F[:] = state.v, state.F
-        F = tuple(state.F.reshape(count, -1).T)
-        blank.history["prony.S"][:] = np.transpose(shape_stress(specs[1].kernel_term(None), tuple(thetas[0]), F))
         state = blank
     layout = Layout(3, (count,), history)
     model = replace(model, groups=(group,), layout=layout, frame=frame, substeps=SUBSTEPS)

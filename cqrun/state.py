@@ -52,7 +52,6 @@ class StateField(NamedTuple):
         initial: values at rest, row-major.
         unit: unit of the numbers.
         description: meaning of the numbers.
-        follows: whether the numbers follow from F and the parameters alone, and are kept to save work.
     """
 
     name: str
@@ -60,7 +59,6 @@ class StateField(NamedTuple):
     initial: tuple[float, ...]
     unit: str = "1"
     description: str = ""
-    follows: bool = False
 
     @property
     def size(self) -> int:

@@ -2,7 +2,7 @@
 
 One number h of each particle follows the strain e = |F|^2 / 2 with the relaxation time t, by the backward Euler rule
 
-    h' = (t h + dt e(F')) / (t + dt),
+    h' = (t h + dt e(F)) / (t + dt),
 
 and the stress is tau = G (e - h) F F^T: none at rest, and none where h has caught up.
 """
@@ -47,29 +47,20 @@ class Relaxation(MaterialTerm):
         return np.asarray(3.0 * theta[0])
 
 
-def stress(term: Any, theta: Any, F: Any, C: Any, h: Any) -> Any:
-    """Return tau."""
-    return scale(mul_bt(F, F), theta[0] * (0.5 * inner(F, F) - h[0]))
+def stress(term: Any, theta: Any, F: Any, C: Any, h: Any, dt: float) -> Any:
+    """Return (tau, h_next)."""
+    e = 0.5 * inner(F, F)
+    return scale(mul_bt(F, F), theta[0] * (e - h[0])), ((theta[1] * h[0] + e * dt) / (theta[1] + dt),)
 
 
-def stress_vjp(term: Any, theta: Any, F: Any, C: Any, h: Any, tau_bar: Any) -> Any:
+def stress_vjp(term: Any, theta: Any, F: Any, C: Any, h: Any, dt: float, tau_bar: Any, h_next_bar: Any) -> Any:
     """Return (theta_bar, F_bar, C_bar, h_bar)."""
-    behind = 0.5 * inner(F, F) - h[0]
-    along = inner(tau_bar, mul_bt(F, F))
-    F_bar = add(scale(mul(symmetric(tau_bar), F), 2.0 * theta[0] * behind), scale(F, theta[0] * along))
-    return (behind * along, 0.0 * along), F_bar, zeros_like_rows(F), (-(theta[0] * along),)
+    e, pull = 0.5 * inner(F, F), h_next_bar[0] / (theta[1] + dt)
+    along, h_next = inner(tau_bar, mul_bt(F, F)), (theta[1] * h[0] + e * dt) / (theta[1] + dt)
+    F_bar = scale(mul(symmetric(tau_bar), F), 2.0 * theta[0] * (e - h[0]))
+    F_bar = add(F_bar, scale(F, theta[0] * along + pull * dt))
+    theta_bar = ((e - h[0]) * along, pull * (h[0] - h_next))
+    return theta_bar, F_bar, zeros_like_rows(F), (pull * theta[1] - theta[0] * along,)
 
 
-def update(term: Any, theta: Any, F: Any, h: Any, dt: Any) -> Any:
-    """Return h after a substep."""
-    return ((theta[1] * h[0] + 0.5 * inner(F, F) * dt) / (theta[1] + dt),)
-
-
-def update_vjp(term: Any, theta: Any, F: Any, h: Any, dt: Any, h_next_bar: Any) -> Any:
-    """Return (theta_bar, F_bar, h_bar)."""
-    pull = h_next_bar[0] / (theta[1] + dt)
-    h_next = (theta[1] * h[0] + 0.5 * inner(F, F) * dt) / (theta[1] + dt)
-    return (0.0 * pull, pull * (h[0] - h_next)), scale(F, pull * dt), (pull * theta[1],)
-
-
-register_with_history(RelaxationKernel, stress, stress_vjp, update, update_vjp, rate=False)
+register_with_history(RelaxationKernel, stress, stress_vjp, rate=False)

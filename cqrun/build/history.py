@@ -11,7 +11,7 @@ from cqrun.state import StateField
 
 
 def fields_of(spec: Any, dim: int) -> tuple[StateField, ...]:
-    """Return the fields of one material term, under the names that they have in the state: `prony.H`."""
+    """Return the fields of one material term, under the names that they have in the state: `prony.Q_1`."""
     return tuple(field._replace(name=f"{spec.name}.{field.name}") for field in spec.history(dim))
 
 

@@ -16,7 +16,7 @@ from cqrun.engine.suspects import group_of
 from cqrun.engine.team import Team
 from cqrun.errors import RolloutError
 from cqrun.forces.pulled import pulled_lanes
-from cqrun.materials.term import in_motion, limit_of
+from cqrun.materials.term import has_history, in_motion, limit_of
 from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import pack
 from cqrun.plugin.contract import Array
@@ -129,8 +129,8 @@ class ForwardRun(ABC):
                 full = np.zeros((len(theta), model.layout.n))
                 full[:, lo:hi] = theta[:, sources[lo:hi] - slice_.start]
                 view = make(pack(full, model.real))
-                view = view._replace(history=self._rows(names)) if names else view
-                views.append(view if model.static else in_motion(view, model.dt))
+                view = view if model.static else in_motion(view, model.dt)
+                views.append(view._replace(history=self._rows(names)) if has_history(type(view)) else view)
             views += [kind(active[kind].theta, (0,) * active[kind].theta.shape[1]) for kind in g.active]
             lanes = tuple(pulled_lanes(pulled.columns, lo, hi, lane_width(model.real)) for pulled in drive.pulled)
             groups.append(Group(lo, hi, tuple(views), lanes))

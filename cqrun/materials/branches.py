@@ -1,8 +1,8 @@
 """Tuples of a stress that relaxes (`prony.py`): the rows of theta and of the history, branch by branch.
 
-theta has a ratio and a time for each branch, then the rows of the elastic law, and last exp(-dt/(2 time)) of each
-branch. The history has the rows of each branch's H, and then those of S. Entries of tuples are written out, because
-Numba does not unpack tuples.
+theta has a ratio and a time for each branch, then the rows of the elastic law, and last a = exp(-dt/(2 time)) of each
+branch. The history has the rows of each branch's Q. Entries of tuples are written out, because Numba does not unpack
+tuples.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ def _law_rows(theta, branches):
 
 
 def in_branches(function: Any, name: str, arguments: str) -> Any:
-    """Return the function that joins function(ratio, time, half, k, ...) of all branches to one tuple.
+    """Return the function that joins function(ratio, time, a, k, ...) of all branches to one tuple.
 
-    k is the branch's number, and half is exp(-dt/(2 time)).
+    k is the branch's number, and a is exp(-dt/(2 time)).
     """
 
     def every(theta: Any, branches: Any, *given: Any) -> Any:
@@ -65,30 +65,31 @@ def _branch(h, k, rows):
     return written("lambda h, k, rows: " + written_tuple(f"h[k * {len(rows)} + {{r}}]", len(rows)))
 
 
-def summed(h: Any, branches: Any) -> Any:
-    """Return the sum over the branches of the rows of their H; those of S come last."""
-    n = len(h) // (len(branches) + 1)
-    return tuple(sum(h[k * n + r] for k in range(len(branches))) for r in range(n))
+def summed(rows: Any, like: Any) -> Any:
+    """Return the sum over the branches of their rows, which are as many as `like` has."""
+    n = len(like)
+    return tuple(sum(rows[k] for k in range(r, len(rows), n)) for r in range(n))
 
 
 @overload(summed)
-def _summed(h, branches):
-    n = len(h) // (len(branches) + 1)
-    entries = ", ".join(" + ".join(f"h[{k * n + r}]" for k in range(len(branches))) for r in range(n))
-    return written(f"lambda h, branches: ({entries},)")
+def _summed(rows, like):
+    n = len(like)
+    entries = ", ".join(" + ".join(f"rows[{k}]" for k in range(r, len(rows), n)) for r in range(n))
+    return written(f"lambda rows, like: ({entries},)")
 
 
-def with_law(h: Any, branches: Any) -> Any:
-    """Return the rows of S plus the sum of those of all H."""
-    n = len(h) // (len(branches) + 1)
-    return tuple(sum(h[k * n + r] for k in range(len(branches) + 1)) for r in range(n))
+def total(h: Any, weights: Any, S: Any) -> Any:
+    """Return the rows of (1 + sum of the weights) S + the sum of those of all Q."""
+    n, whole = len(S), 1.0 + sum(weights)
+    return tuple(S[r] * whole + sum(h[k] for k in range(r, len(h), n)) for r in range(n))
 
 
-@overload(with_law)
-def _with_law(h, branches):
-    n = len(h) // (len(branches) + 1)
-    entries = ", ".join(" + ".join(f"h[{k * n + r}]" for k in range(len(branches) + 1)) for r in range(n))
-    return written(f"lambda h, branches: ({entries},)")
+@overload(total)
+def _total(h, weights, S):
+    n, whole = len(S), " + ".join(f"weights[{k}]" for k in range(len(weights)))
+    entries = ", ".join(f"S[{r}] * whole + " + " + ".join(f"h[{k}]" for k in range(r, len(h), n)) for r in range(n))
+    inner = register_jitable(written(f"lambda h, whole, S: ({entries},)"))
+    return written(f"lambda h, weights, S: inner(h, {whole} + 1.0, S)", {"inner": inner})
 
 
 def all_rows(theta: Any, branches_bar: Any, law_bar: Any) -> Any:
@@ -100,26 +101,6 @@ def all_rows(theta: Any, branches_bar: Any, law_bar: Any) -> Any:
 def _all_rows(theta, branches_bar, law_bar):
     zeros = "".join(f"theta[{r}] * 0.0, " for r in range(len(branches_bar) + len(law_bar), len(theta)))
     return written(f"lambda theta, branches_bar, law_bar: branches_bar + law_bar + ({zeros})")
-
-
-def no_rows(theta: Any, branches: Any) -> Any:
-    """Return zeros for the rows of the branches."""
-    return tuple(row * 0.0 for row in theta[: 2 * len(branches)])
-
-
-@overload(no_rows)
-def _no_rows(theta, branches):
-    return written("lambda theta, branches: " + written_tuple("theta[{r}] * 0.0", 2 * len(branches)))
-
-
-def repeated(rows: Any, branches: Any, last: Any) -> Any:
-    """Return a tuple as often as there are branches, one after the other, and then the last one."""
-    return rows * len(branches) + last
-
-
-@overload(repeated)
-def _repeated(rows, branches, last):
-    return written(f"lambda rows, branches, last: {' + '.join([*['rows'] * len(branches), 'last'])}")
 
 
 def scale_rows(a: Any, s: Any) -> Any:

@@ -47,7 +47,7 @@ def nominal_stress(spec: Any, theta: Array, mode: Mode, stretch: Array) -> Array
     third, zero = 1.0 / (first * second), 0.0 * first
     F = (first, zero, zero, zero, second, zero, zero, zero, third)
     rows = tuple(np.broadcast_to(row, first.shape) for row in theta)
-    tau = kirchhoff(spec.kernel_term(np.asarray(theta)), rows, F, (zero,) * 9, ())
+    tau = kirchhoff(spec.kernel_term(np.asarray(theta)), rows, F, (zero,) * 9)
     return np.asarray((tau[0] - tau[8]) / first)
 
 

@@ -11,17 +11,20 @@ theta is a tuple of the rows at one lane of particles, F and C are tuples of D *
 Kirchhoff stress P F^T [Pa]. An adjoint is linear in its cotangent; it returns its results and does not add them.
 
 A term with history declares numbers of the state in `MaterialTerm.history`. Its kernel class has one more field,
-`history`, a tuple of the rows of these numbers in the state; its functions get their values h as a tuple:
+`history`, a tuple of the rows of these numbers in the state; its functions get their values h as a tuple, at the
+substep's beginning, and give those at its end:
 
-    stress(term, theta, F, C, h)                              -> tau
-    stress_vjp(term, theta, F, C, h, tau_bar)                 -> theta_bar, F_bar, C_bar, h_bar
-    update(term, theta, F, h, dt)                             -> h_next, after a substep that ends at F
-    update_vjp(term, theta, F, h, dt, h_next_bar)             -> theta_bar, F_bar, h_bar
+    stress_and_history(term, theta, F, C, h, dt)                           -> tau, h_next
+    stress_and_history_vjp(term, theta, F, C, h, dt, tau_bar, h_next_bar)  -> theta_bar, F_bar, C_bar, h_bar
 
-What a term needs of the deformation before the substep it keeps in h.
+All depend on F and C at the substep's beginning, so a particle is looked at once in a substep.
 
-A term that computes the elastic law's stress itself, so that the law is evaluated once in a substep, has a second
-kernel class for motions, whose stress holds the law's. It says so with `register_in_motion`.
+A term may have a second kernel class for motions, and says so with `register_in_motion`. A term with history whose
+bodies come to rest has one: the first class is what the term is at rest, without history, and `register_settled` says
+which history bodies have that have rested at F for long:
+
+    settled(term, theta, F, dt)             -> h
+    settled_vjp(term, theta, F, dt, h_bar)  -> theta_bar, F_bar
 
 A term whose energy has a part U(J) of the volume ratio J = det F alone says so with `register_volume`, so that volumes
 can be averaged (engine/reference/volume.py). Its stress holds J U'(J) I. U' is its slope:
@@ -51,22 +54,27 @@ from cqrun.numerics.packed import accumulate, load
 from cqrun.plugin.contract import Array, Plugin
 from cqrun.state import StateField
 
-_STRESS = ByClass("kirchhoff", "term, theta, F, C, h")
-_STRESS_VJP = ByClass("kirchhoff_vjp", "term, theta, F, C, h, tau_bar")
-_BOTH = ByClass("kirchhoff_both", "term, theta, F, C, h, tau_bar")
-_UPDATE = ByClass("update", "term, theta, F, h, dt")
-_UPDATE_VJP = ByClass("update_vjp", "term, theta, F, h, dt, h_next_bar")
+_STRESS = ByClass("kirchhoff", "term, theta, F, C")
+_STRESS_VJP = ByClass("kirchhoff_vjp", "term, theta, F, C, tau_bar")
+_BOTH = ByClass("kirchhoff_both", "term, theta, F, C, tau_bar")
+_HISTORY = ByClass("stress_and_history", "term, theta, F, C, h, dt")
+_HISTORY_VJP = ByClass("stress_and_history_vjp", "term, theta, F, C, h, dt, tau_bar, h_next_bar")
+_HISTORY_BOTH = ByClass("stress_and_history_both", "term, theta, F, C, h, dt, tau_bar, h_next_bar")
+_SETTLED = ByClass("settled", "term, theta, F, dt")
+_SETTLED_VJP = ByClass("settled_vjp", "term, theta, F, dt, h_bar")
 _VOLUME = ByClass("volume_slope", "term, theta, J")
 _VOLUME_VJP = ByClass("volume_slope_vjp", "term, theta, J, slope_bar")
 _ENERGY = ByClass("energy", "term, theta, F")
 _ENERGY_VJP = ByClass("energy_vjp", "term, theta, F, psi_bar")
 _RATES: set[type] = set()
-_REMEMBERS: set[type] = set()
 _LIMITS: dict[type, str] = {}
 _IN_MOTION: dict[type, tuple[type, Callable[..., Any]]] = {}
-kirchhoff, kirchhoff_vjp, kirchhoff_both, update, update_vjp = (
-    f.call for f in (_STRESS, _STRESS_VJP, _BOTH, _UPDATE, _UPDATE_VJP)
+_HOLDS_LAW: set[type] = set()
+kirchhoff, kirchhoff_vjp, kirchhoff_both = (f.call for f in (_STRESS, _STRESS_VJP, _BOTH))
+stress_and_history, stress_and_history_vjp, stress_and_history_both = (
+    f.call for f in (_HISTORY, _HISTORY_VJP, _HISTORY_BOTH)
 )
+settled, settled_vjp = _SETTLED.call, _SETTLED_VJP.call
 volume_slope, volume_slope_vjp = _VOLUME.call, _VOLUME_VJP.call
 energy, energy_vjp = _ENERGY.call, _ENERGY_VJP.call
 
@@ -96,7 +104,7 @@ class MaterialTerm(Plugin):
     def history(self, dim: int) -> tuple[StateField, ...]:
         """Return the fields that this term adds to the state in `dim` dimensions; most terms add none.
 
-        The state prefixes their names with the plug-in's: `H` of the term `prony` becomes `prony.H`.
+        The state prefixes their names with the plug-in's: `Q_1` of the term `prony` becomes `prony.Q_1`.
         """
         return ()
 
@@ -126,35 +134,40 @@ def register(
         rate: whether the stress depends on C.
         both: returns (tau, *stress_vjp(...)), where that saves work; made from the other two if not given.
     """
-    _STRESS.register(kernel_class, stress, "term, theta, F, C")
-    _STRESS_VJP.register(kernel_class, stress_vjp, "term, theta, F, C, tau_bar")
-    _BOTH.register(kernel_class, both or one_after_the_other(stress, stress_vjp), "term, theta, F, C, tau_bar")
+    _STRESS.register(kernel_class, stress)
+    _STRESS_VJP.register(kernel_class, stress_vjp)
+    _BOTH.register(kernel_class, both or one_after_the_other(stress, stress_vjp))
     _RATES.update([kernel_class] if rate else [])
 
 
 def register_with_history(
-    kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any],
-    update: Callable[..., Any] | None = None, update_vjp: Callable[..., Any] | None = None, *, rate: bool = True,
+    kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any], *, rate: bool = True,
+    both: Callable[..., Any] | None = None,
 ) -> None:  # fmt: skip
-    """Register the functions of a kernel class with history; `rate` as in `register`.
-
-    One for which another class stands in motions needs no update.
-    """
-    for table, body in ((_STRESS, stress), (_STRESS_VJP, stress_vjp), (_UPDATE, update), (_UPDATE_VJP, update_vjp)):
-        if body is not None:
-            table.register(kernel_class, body)
-    _REMEMBERS.add(kernel_class)
-    _BOTH.register(kernel_class, one_after_the_other_with_history(stress, stress_vjp))
+    """Register `stress_and_history` and its adjoint for a kernel class with history; options as in `register`."""
+    _HISTORY.register(kernel_class, stress)
+    _HISTORY_VJP.register(kernel_class, stress_vjp)
+    _HISTORY_BOTH.register(kernel_class, both or one_after_the_other_with_history(stress, stress_vjp))
     _RATES.update([kernel_class] if rate else [])
 
 
-def register_in_motion(kernel_class: type, moving_class: type, make: Callable[..., Any]) -> None:
-    """Register the class that stands for a kernel class in motions, and whose stress holds the law's.
+def register_settled(kernel_class: type, settled: Callable[..., Any], settled_vjp: Callable[..., Any]) -> None:
+    """Register the history that bodies have after a long rest, and its adjoint."""
+    _SETTLED.register(kernel_class, settled)
+    _SETTLED_VJP.register(kernel_class, settled_vjp)
+
+
+def register_in_motion(
+    kernel_class: type, moving_class: type, make: Callable[..., Any], *, holds_law: bool = False
+) -> None:
+    """Register the class that stands for a kernel class in motions.
 
     Args:
         make: make(view, dt) returns the view for substeps dt [s]; its theta may have more rows, after the others.
+        holds_law: whether its stress holds that of the elastic law, so that the law is evaluated once in a substep.
     """
     _IN_MOTION[kernel_class] = moving_class, make
+    _HOLDS_LAW.update([moving_class] if holds_law else [])
 
 
 def in_motion(view: Any, dt: float) -> Any:
@@ -164,7 +177,7 @@ def in_motion(view: Any, dt: float) -> Any:
 
 def holds_law(kernel_class: type) -> bool:
     """Return whether the stress of a kernel class holds that of the elastic law, the first term of a material."""
-    return any(kernel_class is moving for moving, _ in _IN_MOTION.values())
+    return kernel_class in _HOLDS_LAW
 
 
 def register_volume(kernel_class: type, slope: Callable[..., Any], slope_vjp: Callable[..., Any]) -> None:
@@ -201,12 +214,12 @@ def one_after_the_other(stress: Callable[..., Any], stress_vjp: Callable[..., An
 
 
 def one_after_the_other_with_history(stress: Callable[..., Any], stress_vjp: Callable[..., Any]) -> Callable[..., Any]:
-    """Return what `one_after_the_other` returns, for a term with history."""
+    """Return what `one_after_the_other` returns, for a term with history; the stress is without h_next."""
     first, second = (f if hasattr(f, "py_func") else register_jitable(f) for f in (stress, stress_vjp))
 
-    def both(term: Any, theta: Any, F: Any, C: Any, h: Any, tau_bar: Any) -> Any:
-        bars = second(term, theta, F, C, h, tau_bar)
-        return first(term, theta, F, C, h), bars[0], bars[1], bars[2], bars[3]
+    def both(term: Any, theta: Any, F: Any, C: Any, h: Any, dt: Any, tau_bar: Any, h_next_bar: Any) -> Any:
+        bars = second(term, theta, F, C, h, dt, tau_bar, h_next_bar)
+        return first(term, theta, F, C, h, dt)[0], bars[0], bars[1], bars[2], bars[3]
 
     return both
 
@@ -228,17 +241,12 @@ def has_energy(kernel_class: type) -> bool:
 
 def is_stress(kernel_class: type) -> bool:
     """Return whether a kernel class belongs to a term of the stress."""
-    return kernel_class in _STRESS
-
-
-def is_updated(kernel_class: type) -> bool:
-    """Return whether the terms of a kernel class have a history that substeps change."""
-    return kernel_class in _UPDATE
+    return kernel_class in _STRESS or kernel_class in _HISTORY
 
 
 def has_history(kernel_class: type) -> bool:
     """Return whether the terms of a kernel class have a history."""
-    return kernel_class in _REMEMBERS
+    return kernel_class in _HISTORY
 
 
 # --- lane values of parameters ----------------------------------------------------------------------------

@@ -155,7 +155,7 @@ class MeanStress(OfMaterial):
         """Return the stress of every particle of `members` (T+1, n, components)."""
         out = np.zeros((len(track.F), len(self.at), len(self.entries)))
         for rows, terms, thetas, F, C in self._pieces(track):
-            tau = _sum(kirchhoff(term, theta, F, C, ()) for term, theta in zip(terms, thetas, strict=True))
+            tau = _sum(kirchhoff(term, theta, F, C) for term, theta in zip(terms, thetas, strict=True))
             for k, entry in enumerate(self.entries):
                 out[rows, :, k] = (tau[entry] / det(F)).reshape(-1, len(self.at))
         if self.averaging is not None:
@@ -173,9 +173,9 @@ class MeanStress(OfMaterial):
                 tau_bar[entry] = each[:, k] / J
             F_piece, C_piece, stress = [0.0 * J for _ in F], [0.0 * J for _ in F], 0.0 * J
             for term, theta, total in zip(terms, thetas, theta_bars, strict=True):
-                tau = kirchhoff(term, theta, F, C, ())
+                tau = kirchhoff(term, theta, F, C)
                 stress = stress + sum(t * b for t, b in zip(tau, tau_bar, strict=True))
-                by_theta, by_F, by_C = kirchhoff_vjp(term, theta, F, C, (), tuple(tau_bar))[:3]
+                by_theta, by_F, by_C = kirchhoff_vjp(term, theta, F, C, tuple(tau_bar))[:3]
                 total += _per_particle(by_theta, len(self.at))
                 F_piece = [a + b for a, b in zip(F_piece, by_F, strict=True)]
                 C_piece = [a + b for a, b in zip(C_piece, by_C, strict=True)]
@@ -278,14 +278,14 @@ def _viscous(term: Any, theta: Any, F: Any, C: Any) -> Any:
     """Return the part tau(F, C) - tau(F, 0) of a term's stress."""
     if not needs_rate(type(term)):
         return _zeros(F)
-    return sub(kirchhoff(term, theta, F, C, ()), kirchhoff(term, theta, F, _zeros(C), ()))
+    return sub(kirchhoff(term, theta, F, C), kirchhoff(term, theta, F, _zeros(C)))
 
 
 def _viscous_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
     """Return (theta_bar, F_bar, C_bar)."""
     if not needs_rate(type(term)):
         return _zeros(theta), _zeros(F), _zeros(C)
-    moving, still = (kirchhoff_vjp(term, theta, F, rate, (), tau_bar) for rate in (C, _zeros(C)))
+    moving, still = (kirchhoff_vjp(term, theta, F, rate, tau_bar) for rate in (C, _zeros(C)))
     by_theta = tuple(a - b for a, b in zip(moving[0], still[0], strict=True))
     return by_theta, sub(moving[1], still[1]), moving[2]
 

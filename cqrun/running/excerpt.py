@@ -101,7 +101,8 @@ class Excerpt:
 
     def _at(self, q: Array, q_next: Array, *, ahead: bool = False) -> Substep:
         """Return a substep that sorts its particles and runs all its passes."""
-        return Substep(self.control, 0, False, ahead, q, q_next, self.states[0])
+        q_after = self.states[min(2, len(self.states) - 1)]
+        return Substep(self.control, 0, False, ahead, q, q_next, self.states[0], q_after)
 
     def _measurable(self, passes: Sequence[Pass]) -> Iterator[tuple[Pass, float]]:
         """Yield the passes that have work in this scene, and how often each runs per substep."""

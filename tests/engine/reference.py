@@ -251,11 +251,11 @@ def substep(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Moving,
         B += share[:, :, None] * arm[:, None, :]
     C = 4 / model.dx**2 * B
     F = s.F + dt * C @ s.F
-    return Moving(s.x + dt * v, v, C, F, relaxed(inputs, s.history, F, dt)), taut + branches
+    return Moving(s.x + dt * v, v, C, F, relaxed(inputs, s.history, s.F, dt)), taut + branches
 
 
 def relaxed(inputs: Inputs, history: dict[str, Array], F: Array, dt: float) -> dict[str, Array]:
-    """Return what a relaxing stress remembers after a substep that ends at F."""
+    """Return what a relaxing stress remembers after a substep that begins at F."""
     return {
         name: (time * relaxed_to + dt * strain(F)) / (time + dt)
         for (name, relaxed_to), (_, time) in zip(history.items(), inputs.terms[0][4:], strict=True)

@@ -214,8 +214,7 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
         if (step + 1) % model.substeps == 0:
             acting.end()
         u = u + dt * v
-        s = motion(model, X, stencils, u, v, s.history)
-        s.history = reference.relaxed(inputs, s.history, s.F, dt)
+        s = motion(model, X, stencils, u, v, reference.relaxed(inputs, s.history, s.F, dt))
     rows.append(reference.seen(W, s))
     see_bodies(touching)
     poses = touching.poses() if isinstance(touching, Gripping) else {}

@@ -45,11 +45,11 @@ class Term:
     def tau(self, F: np.ndarray, C: np.ndarray, theta: np.ndarray | None = None) -> np.ndarray:
         """Return the Kirchhoff stress (N, D, D) for F, C (N, D, D), complex ones too."""
         theta = self.theta if theta is None else theta
-        return matrices(kirchhoff(self.kernel, tuple(theta), entries(F), entries(C), ()))
+        return matrices(kirchhoff(self.kernel, tuple(theta), entries(F), entries(C)))
 
     def vjp(self, F: np.ndarray, C: np.ndarray, tau_bar: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the cotangents of theta (rows, N), F and C (N, D, D)."""
-        found = kirchhoff_vjp(self.kernel, tuple(self.theta), entries(F), entries(C), (), entries(tau_bar))
+        found = kirchhoff_vjp(self.kernel, tuple(self.theta), entries(F), entries(C), entries(tau_bar))
         return np.array([b + np.zeros(N) for b in found[0]]), matrices(found[1]), matrices(found[2])
 
 

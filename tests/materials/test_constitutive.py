@@ -339,8 +339,8 @@ def on_lanes(terms, terms_bar, table, out, width, dims):
                 load(table, 18, i), load(table, 19, i), load(table, 20, i), load(table, 21, i), load(table, 22, i),
                 load(table, 23, i), load(table, 24, i), load(table, 25, i), load(table, 26, i),
             )  # fmt: skip
-        tau = total_kirchhoff(terms, table, i, F, C)
-        F_bar, C_bar = total_kirchhoff_vjp(terms, terms_bar, table, out, i, F, C, b)
+        tau = total_kirchhoff(terms, table, table, i, F, C, 0.0)
+        F_bar, C_bar = total_kirchhoff_vjp(terms, terms_bar, table, out, i, F, C, 0.0, b)
         row = 0
         for a in (tau, F_bar, C_bar):
             for entry in a:
@@ -386,8 +386,8 @@ def test_compiled_terms_are_their_plain_twins(dim, real, tolerance, rng):
         out = np.zeros((table.shape[0], 3 * dim * dim, width), real)
         on_lanes(terms, bars, table, out, width, (0,) * dim)
         theta = tuple(thetas[on])
-        tau = kirchhoff(part.kernel, theta, entries(F), entries(C), ())
-        theta_bar, F_bar, C_bar = kirchhoff_vjp(part.kernel, theta, entries(F), entries(C), (), entries(tau_bar))
+        tau = kirchhoff(part.kernel, theta, entries(F), entries(C))
+        theta_bar, F_bar, C_bar = kirchhoff_vjp(part.kernel, theta, entries(F), entries(C), entries(tau_bar))
         want = np.array([*tau, *F_bar, *C_bar])
         np.testing.assert_allclose(unpack(out), want, rtol=0, atol=tolerance * np.abs(want).max(), err_msg=part.name)
         want = np.array([b + np.zeros(n) for b in theta_bar])

@@ -161,7 +161,7 @@ def wave_stiffness(terms: Sequence[Any], thetas: Sequence[Array], F: Array) -> f
         flat, tau = tuple(F.ravel().tolist()), np.zeros(dim * dim)
         for term, theta in zip(terms, thetas, strict=True):
             if not has_history(type(term)):
-                tau += np.array(kirchhoff(term, tuple(theta.tolist()), flat, (0.0,) * dim**2, ()), float)
+                tau += np.array(kirchhoff(term, tuple(theta.tolist()), flat, (0.0,) * dim**2), float)
         return np.asarray(tau.reshape(dim, dim) @ np.linalg.inv(F).T)
 
     A = np.zeros((dim, dim, dim, dim))

@@ -1,8 +1,8 @@
 """The substeps of the reference frame, and their adjoints; every thread runs these loops.
 
 A substep is one sweep over the particles (`sweep.py`), forces on points (`forces.py`) and one pass over the nodes
-(`nodes.py`). Histories of materials are updated in the next one's sweep (`history.py`). Its adjoint is the same with
-two more fields. A reversed run keeps no states: it finds the state before each substep from the one after it, which is
+(`nodes.py`). The sweep updates histories of materials as well (`history.py`). Its adjoint is the same with two more
+fields. A reversed run keeps no states: it finds the state before each substep from the one after it, which is
 exact but for rounding.
 """
 
@@ -17,7 +17,7 @@ from cqrun.engine.probe import record, record_vjp
 from cqrun.engine.reference.contacts import Contacts, touch_all, touch_all_vjp, touch_rates_all_vjp
 from cqrun.engine.reference.forces import pull_each, pull_each_vjp
 from cqrun.engine.reference.ghost import haunt_each, haunt_each_vjp
-from cqrun.engine.reference.history import keep_each, recall_each, remember_each, remember_each_vjp
+from cqrun.engine.reference.history import keep_each, recall_each
 from cqrun.engine.reference.look import look, look_vjp
 from cqrun.engine.reference.moves import bring_back_pairs, carry_each, carry_each_vjp
 from cqrun.engine.reference.nodes import begin_vjp, end_vjp, kick
@@ -83,7 +83,7 @@ def advance(
         reactions: what boundaries do to the bodies, or none.
         contacts: what bodies touch.
     """
-    substeps, late = run.setting.substeps, False
+    substeps = run.setting.substeps
     recall_each(histories, run, run.q, states[0, 0], states[0, 1], crew)
     for step in range(begin, end):
         here = step - begin if keep else 0
@@ -94,9 +94,7 @@ def advance(
             clear_sums_each(reactions, run, step, crew)
         u, v = states[here, 0], states[here, 1]
         at = NodeStep(control, u, v, states[after, 1])
-        press_each(parts, run, u, v, colours, late, crew)
-        if keep and late:
-            keep_each(histories, run, run.q, u, v, crew)
+        press_each(parts, run, u, v, colours, crew)
         pull_each(loads, drive, run, at, crew)
         haunt_each(ghosts, run, u, crew)
         touch_all(contacts, run, at, states[after, 0], step, keep, crew)
@@ -106,9 +104,8 @@ def advance(
         carry_each(moves, run, u, states[after, 0], states[after, 1], step, crew)
         note_impulses_each(reactions, run, at, states[after, 0], step, keep, crew)
         ends, looks = (step + 1) % substeps == 0, (step + 1) % WATCH == 0
-        late = not (ends or step + 1 == end)
-        if not late:
-            remember_each(histories, run, states[after, 0], states[after, 1], colours, crew)
+        if keep or step + 1 == end:
+            keep_each(histories, run, run.q, states[after, 0], states[after, 1], crew)
         if ends:
             add_up_each(reactions, run, step, crew)
         if ends or looks:
@@ -201,7 +198,7 @@ def reverse(
         if (step + 1) % substeps == 0 or step == end - 1:
             begin_control(drive, run, colours, control, crew)
         at = NodeStep(control, states[here, 0], states[here, 1], states[after, 1])
-        remember_each_vjp(histories, run, bars, at, states[after, 0], colours, crew)
+        recall_each(histories, run, run.q, at.u, at.v, crew)
         impulses_each_vjp(reactions, run, bars, at, states[after, 0], reversed_, crew)
         carry_each_vjp(moves, run, bars, step, crew)
         begin_vjp(conditions, run, bars, at, states[after, 0], reversed_, crew)

@@ -18,7 +18,6 @@ from typing import Any
 
 from cqrun.engine.arrays import get_columns
 from cqrun.engine.reference.fields import put_linear
-from cqrun.engine.reference.history import catch_up
 from cqrun.engine.reference.setting import TILE, NodeBars, NodeRun
 from cqrun.engine.reference.shape import keep_force, place_stress
 from cqrun.engine.reference.volume import (
@@ -44,15 +43,14 @@ from cqrun.state import VOLUME
 
 
 @kernel
-def press(
-    part: tuple[Group, Any, int, int], run: NodeRun, u: Array, v: Array, colours: Array, late: bool, crew: Crew
-) -> None:
+def press(part: tuple[Group, Any, int, int], run: NodeRun, u: Array, v: Array, colours: Array, crew: Crew) -> None:
     """Add the internal forces of a group's particles to `run.force`, for displacements u and velocities v.
+
+    Histories in `run.q` become those after the substep.
 
     Args:
         part: a group, the means of its volumes or none, its first body, and the body after its last.
         colours: (B, 9) where the units of each body and colour begin.
-        late: whether histories are still those before the last substep; then they are updated first.
     """
     group, means, first, last = part
     average_each(means, run, u, first, last, colours, crew)
@@ -62,14 +60,12 @@ def press(
             if n_units > 0:
                 lo, hi = share(n_units, crew.thread, crew.n_threads)
                 for unit in range(begin + lo, begin + hi):
-                    press_unit(group, means, run, u, v, run.units[unit, 0], run.units[unit, 1], late, crew.thread)
+                    press_unit(group, means, run, u, v, run.units[unit, 0], run.units[unit, 1], crew.thread)
                 barrier(run.arrivals, crew.n_threads)
 
 
 @kernel
-def press_unit(
-    group: Group, means: Any, run: NodeRun, u: Array, v: Array, lo: int, hi: int, late: bool, thread: int
-) -> None:
+def press_unit(group: Group, means: Any, run: NodeRun, u: Array, v: Array, lo: int, hi: int, thread: int) -> None:
     """Add the internal forces of the particles lo .. hi."""
     setting, stencils, tiles, fields = run.setting, run.stencils, run.tiles, run.fields
     dims, factor, width = setting.dims, 4.0 / setting.dx, LANE_BYTES // run.fields.itemsize
@@ -78,8 +74,6 @@ def press_unit(
         end = min(tile + TILE, hi)
         if len(means) == 0:
             gather(u, stencils, value, moment, tile, end, setting.strides, dims)
-        if late:
-            catch_up(group, means, run, u, tile, end, thread)
         collect_pressures(means, run, tile, end, thread)
         if setting.rates:
             gather(v, stencils, value, moment_2, tile, end, setting.strides, dims)
@@ -89,7 +83,8 @@ def press_unit(
             C = zeros_like_rows(F)
             if setting.rates:
                 C = mul_bt(scale(get_columns(moment_2, TILE, i - tile, dims), factor), Gt)
-            tau = with_mean(means, total_kirchhoff(group.terms, run.q, i, F, C), F, i, i - tile, thread)
+            tau = total_kirchhoff(group.terms, run.q, run.q, i, F, C, setting.dt)
+            tau = with_mean(means, tau, F, i, i - tile, thread)
             A = scale(mul(tau, Gt), load(fields, VOLUME, i) * -factor)
             put_linear(value, moment, stencils, i, i - tile, A, dims)
         scatter_tile(run.force, (value,), (moment,), stencils, tile, end, setting.strides, dims)
@@ -100,6 +95,8 @@ def press_vjp(
     part: tuple[tuple[Group, Group], Any, int, int], run: NodeRun, bars: NodeBars, v: Array, colours: Array, crew: Crew
 ) -> None:
     """Run the adjoint of `press` at bars.pairs: add to bars.sums and to the cotangents of the particles.
+
+    Histories in `run.q` are those before the substep; their cotangents in `bars.q`, after it, become those before it.
 
     `part` has the group and the means of its volumes, if there are any, each with its cotangent.
     """
@@ -145,7 +142,9 @@ def press_unit_vjp(
                 C = mul_bt(scale(get_columns(moment_3, TILE, i - tile, dims), factor), Gt)
             vol, H = load(fields, VOLUME, i), mul_bt(Q, Gt)  # H = Q F^-1
             tau_bar = scale(H, vol * -1.0)
-            tau, F_bar, C_bar = total_kirchhoff_both(group.terms, group_bar.terms, run.q, bars.q, i, F, C, tau_bar)
+            tau, F_bar, C_bar = total_kirchhoff_both(
+                group.terms, group_bar.terms, run.q, bars.q, i, F, C, setting.dt, tau_bar
+            )
             tau, F_bar = with_mean_both(means, tau, F_bar, F, tau_bar, vol, bars.fields, i, i - tile, thread)
             accumulate(bars.fields, VOLUME, i, inner(tau, H) * -1.0)
             P = mul(tau, Gt)

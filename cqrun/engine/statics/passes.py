@@ -27,7 +27,7 @@ def find_net(
 ) -> None:  # fmt: skip
     """Write the forces on all nodes but the constant ones to `run.force`; `still` are velocities of zero."""
     clear_nodes(run.force, run, crew)
-    press_each(parts, run, u, still, colours, False, crew)
+    press_each(parts, run, u, still, colours, crew)
     pull_each(loads, drive, run, NodeStep(control, u, still, still), crew)
     haunt_each(ghosts, run, u, crew)
 

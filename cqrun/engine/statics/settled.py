@@ -3,8 +3,7 @@
 The first state is the equilibrium u*(theta) of the loads and activations of the first control step, with v = 0. The
 gradient of the motion gives u*_bar, and the adjoint of the equilibrium carries it on to everything that u* depends on.
 
-Histories have faded there, but for fields that follow from F (`StateField.follows`): an update that ends at u* gives
-those, and its adjoint adds to u*_bar.
+Histories are those of a long rest at u* (`history.settle`), whose adjoint adds to u*_bar.
 """
 
 from __future__ import annotations
@@ -17,10 +16,8 @@ import numpy as np
 from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.model import Inputs, LossBar
 from cqrun.engine.reference.backward import ReferenceBackward
-from cqrun.engine.reference.history import Histories, remember, remember_vjp, rows_of_state, rows_of_table
+from cqrun.engine.reference.history import Histories, rows_of_state, rows_of_table, settle, settle_vjp
 from cqrun.engine.reference.rollout import ReferenceRollout
-from cqrun.engine.reference.setting import NodeStep
-from cqrun.engine.setting import Crew
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.errors import RunError
 from cqrun.numerics.packed import pack
@@ -47,26 +44,17 @@ class SettledRollout(ReferenceRollout):
                 f"`start: equilibrium`: no equilibrium was found under the first loads (residual {rest.residual:.1e}); "
                 "`cqrun rest` shows how far a path of loads gets"
             )
-        self.still = self._still_state()
-        start = self.still.copy()
+        start = self._still_state()
         start[0, : self.rest.patches.n_nodes] = rest.u
         for each in self.histories:
-            self._follow(each, start)
+            self._settle(each, start)
         self.free_start = np.zeros((self.rest.patches.n_nodes, model.dim))
         return start
 
-    def _follow(self, histories: Histories, start: Array) -> None:
-        """Write the fields of histories that follow from F to the start."""
-        q = self.bundle.q
-        faded, lasting = q[:, histories.first :].copy(), self.lasting(histories)
-        remember(histories, self.bundle, start[0], start[1], self.rest.patches.colours, Crew(0, 1))
-        q[:, histories.first :][:, lasting] = faded[:, lasting]
-        start[:, histories.begin :] = rows_of_state(q, histories.first)
-
-    def lasting(self, histories: Histories) -> Array:
-        """Return which rows of the histories (H,) do not follow from F."""
-        fields = self.model.layout.history
-        return np.repeat([not field.follows for field in fields], [field.size for field in fields])
+    def _settle(self, histories: Histories, start: Array) -> None:
+        """Write the histories of a long rest to the start."""
+        settle(histories, self.bundle, start[0], self.rest.patches.colours)
+        start[:, histories.begin :] = rows_of_state(self.bundle.q, histories.first)
 
     def backward(self, loss_bar: LossBar) -> BackwardRun:
         """Return the backward run, from kept states, of the cotangents of the results."""
@@ -82,7 +70,7 @@ class SettledBackward(ReferenceBackward):
     def inputs_bar(self) -> Inputs:
         """Return the cotangent of the inputs."""
         for each in self.histories:
-            self._follow_vjp(each)
+            self._settle_vjp(each)
         bar, first = super().inputs_bar(), self.rollout.first
         nodes = slice(self.rollout.rest.patches.n_nodes)
         static, solve = first.gradient_of_nodes(self.rollout.start[0, nodes], self.q_bar[0, nodes])
@@ -94,17 +82,12 @@ class SettledBackward(ReferenceBackward):
         static.moves = static.moves * 0.0
         return added(bar, static)
 
-    def _follow_vjp(self, histories: Histories) -> None:
+    def _settle_vjp(self, histories: Histories) -> None:
         """Carry the cotangent of the histories at the start on to that of the displacements."""
         r, run, bars, begin = self.rollout, self.rollout.bundle, self.bundle, histories.begin
-        still, count = r.still, run.q.shape[1] - histories.first
-        kept = rows_of_table(self.q_bar[:, begin:], count)
-        kept[r.lasting(histories)] = 0.0
-        bars.q[:, histories.first :] = pack(kept, bars.q.dtype)
-        remember_vjp(
-            histories, run, bars, NodeStep(0, still[0], still[1], still[1]), r.start[0], r.rest.patches.colours,
-            Crew(0, 1),
-        )  # fmt: skip
+        rows = rows_of_table(self.q_bar[:, begin:], run.q.shape[1] - histories.first)
+        bars.q[:, histories.first :] = pack(rows, bars.q.dtype)
+        settle_vjp(histories, run, bars, r.start[0], r.rest.patches.colours)
         self.q_bar[:, begin:] = 0.0
         bars.q[:, histories.first :] = 0.0
 

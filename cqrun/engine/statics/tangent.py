@@ -101,12 +101,12 @@ def find_tangent(
         F = load_F(run.q, i, dims)
         none, Gt = zeros_like_rows(F), scale(cofactor(F), 1.0 / det(F))
         collect_pressures(means, run, i, i + width, crew.thread)
-        P = mul(with_mean(means, total_kirchhoff(group.terms, run.q, i, F, none), F, i, 0, crew.thread), Gt)
+        P = mul(with_mean(means, total_kirchhoff(group.terms, run.q, run.q, i, F, none, 0.0), F, i, 0, crew.thread), Gt)
         vol = load(run.fields, VOLUME, i)
         for k in range(len(F)):
             Q = unit_like(F, k)
             tau_bar = mul_bt(Q, Gt)
-            F_bar = stress_slope(group.terms, run.q, i, F, none, tau_bar)
+            F_bar = stress_slope(group.terms, i, F, none, tau_bar)
             F_bar = with_mean_slope(means, F_bar, F, tau_bar, i, 0, crew.thread)
             put_row(A, k, i, scale(sub(F_bar, mul(Gt, mul_at(Q, P))), vol))
 

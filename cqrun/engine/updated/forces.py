@@ -34,7 +34,7 @@ def push_lanes(group: Group, pulled: Pulled, run: Run, at: Substep, crew: Crew) 
                 for s in range(pulled.begin[j], pulled.begin[j + 1]):
                     push[p // width, d, p % width] += force[pulled.order[s], d]
         first = lanes.first[index]
-        write_momentum(group, run, at.q, first, first + width)
+        write_momentum(group, run, at.q, at.q_next, first, first + width)
 
 
 @kernel
@@ -52,7 +52,7 @@ def push_lanes_vjp(groups: tuple[Group, Group], pulled: Pulled, run: Run, bars: 
                     q_bar[p // width, V + d, p % width] += shares.v_bar[pulled.order[s], d]
         if at.ahead:
             first = lanes.first[index]
-            begin_cotangent(groups, run, at.q_before, at.q, q_bar, first, first + width, crew.thread)
+            begin_cotangent(groups[0], run, at.q_before, at.q, q_bar, first, first + width, crew.thread)
 
 
 push_lanes_of_each = for_each(push_lanes)

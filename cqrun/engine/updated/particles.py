@@ -11,9 +11,10 @@ Momentum (CQ1 eqs 3-5), with kappa = exp(-damping dt), the external forces f and
 
 Motion (CQ1 eqs 8-10), with B = sum_n w v_n d^T:
 
-    v' = sum_n w v_n,  C' = (4 / dx^2) B,  F' = (I + dt C') F,  x' = x + dt v'
+    v' = sum_n w v_n,  C' = (4 / dx^2) B,  F' = (I + dt C') F,  x' = x + dt v'.
 
-and then the histories of material terms. In cells d = dx (o - f), so P2G scatters p and dx G, and G2P gathers B / dx.
+The momentum's pass also gives the histories of material terms after the substep. In cells d = dx (o - f), so P2G
+scatters p and dx G, and G2P gathers B / dx.
 """
 
 from __future__ import annotations
@@ -49,7 +50,6 @@ from cqrun.engine.arrays import (
 from cqrun.engine.setting import MARGIN, Crew, Group
 from cqrun.engine.transfer import gather, gather_vjp
 from cqrun.engine.updated.setting import TILE, Bars, Run, Substep
-from cqrun.materials.history import update_histories, update_histories_vjp
 from cqrun.materials.stress import total_kirchhoff, total_kirchhoff_vjp
 from cqrun.numerics.compile import for_each, kernel, one_body, share
 from cqrun.numerics.lanes import LANE_BYTES, all_lanes, lane, select
@@ -68,22 +68,25 @@ def tiles_of(group: Group, crew: Crew) -> tuple[int, int]:
 
 @kernel
 def momentum(group: Group, run: Run, at: Substep, crew: Crew) -> None:
-    """Write the fields that P2G scatters for the particles of a group."""
+    """Write the fields that P2G scatters for the particles of a group, but for lanes that forces pull."""
     if not at.begun:
         lo, hi = tiles_of(group, crew)
-        write_momentum(group, run, at.q, lo, hi)
+        write_but_for(group.pulled, group, run, at.q, at.q_next, lo, hi)
 
 
 @one_body
-def write_momentum(group: Group, run: Run, q: Array, lo: int, hi: int) -> None:
-    """Write the fields that P2G scatters for columns lo .. hi of a group."""
+def write_momentum(group: Group, run: Run, q: Array, q_next: Array, lo: int, hi: int) -> None:
+    """Write the fields that P2G scatters for columns lo .. hi of a group, and their next histories to q_next.
+
+    q_next may be q, so this runs once for each column in a substep.
+    """
     setting, work, fields, push = run.setting, run.work, run.fields, run.push
     dims, dx, dt = setting.dims, setting.dx, setting.dt
     n, width, pushed = work.place.shape[0], LANE_BYTES // q.itemsize, push.shape[0] > 0
     for i in range(lo, hi, width):
         C, F = load_C(q, i, dims), load_F(q, i, dims)
         m, kept = load(fields, MASS, i), load(fields, MASS, i) * load(fields, DECAY, i)
-        tau = total_kirchhoff(group.terms, q, i, F, C)
+        tau = total_kirchhoff(group.terms, q, q_next, i, F, C, dt)
         f = load_vector(fields, FORCE, i, dims)
         if pushed:
             f = add(f, load_vector(push, 0, i, dims))
@@ -94,6 +97,37 @@ def write_momentum(group: Group, run: Run, q: Array, lo: int, hi: int) -> None:
         put_vector(work.value, i, sub(p, matvec(A, fraction(X))), m, dims)
         put_columns(work.affine, n, i, A, dims)
         put_place(work.place, i, X, dims)
+
+
+@kernel
+def write_between_lanes(lanes: Array, group: Group, run: Run, q: Array, q_next: Array, lo: int, hi: int) -> None:
+    """Write the momentum of columns lo .. hi without the lanes that forces pull."""
+    begin = lo
+    for lane_at in lanes[first_at_least(lanes, lo) : first_at_least(lanes, hi)]:
+        if lane_at > begin:
+            write_momentum(group, run, q, q_next, begin, lane_at)
+        begin = lane_at + LANE_BYTES // q.itemsize
+    if hi > begin:
+        write_momentum(group, run, q, q_next, begin, hi)
+
+
+def write_but_for(pulled: Any, group: Any, run: Run, q: Array, q_next: Array, lo: int, hi: int) -> None:
+    """Write the momentum of columns lo .. hi without the lanes in `pulled`, if there is any."""
+    if pulled:
+        write_between_lanes(pulled[0].first, group, run, q, q_next, lo, hi)
+    else:
+        write_momentum(group, run, q, q_next, lo, hi)
+
+
+@overload(write_but_for)
+def _write_but_for(pulled, group, run, q, q_next, lo, hi):
+    def some(pulled, group, run, q, q_next, lo, hi):
+        write_between_lanes(pulled[0].first, group, run, q, q_next, lo, hi)
+
+    def none(pulled, group, run, q, q_next, lo, hi):
+        write_momentum(group, run, q, q_next, lo, hi)
+
+    return some if len(pulled) else none
 
 
 @kernel
@@ -121,13 +155,12 @@ def move(group: Group, run: Run, at: Substep, crew: Crew) -> None:
             store_v(q_next, i, v, dims)
             store_C(q_next, i, C, dims)
             store_F(q_next, i, F_next, dims)
-            update_histories(group.terms, q, q_next, i, F_next, dt)
             fastest = greatest_square(fastest, v)
             inside = within(shift(scale(x, 1.0 / dx), MARGIN), setting.upper)
             if not all_lanes(inside) and work.stray[thread] < 0:
                 work.stray[thread] = i
         if at.ahead:
-            write_momentum(group, run, q_next, tile, end)
+            write_but_for(group.pulled, group, run, q_next, at.q_after, tile, end)
     for k in range(width):
         work.speed[thread] = max(work.speed[thread], lane(fastest, k))
 
@@ -137,15 +170,14 @@ def move_vjp(groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep, cre
     """Write the fields that the adjoint of G2P scatters, and turn the cotangent of q_next into a part of that of q."""
     if not at.begun:
         lo, hi = tiles_of(groups[0], crew)
-        begin_cotangent(groups, run, at.q, at.q_next, bars.q, lo, hi, crew.thread)
+        begin_cotangent(groups[0], run, at.q, at.q_next, bars.q, lo, hi, crew.thread)
 
 
 @one_body
 def begin_cotangent(
-    groups: tuple[Group, Group], run: Run, q: Array, q_next: Array, q_bar: Array, lo: int, hi: int, thread: int
+    group: Group, run: Run, q: Array, q_next: Array, q_bar: Array, lo: int, hi: int, thread: int
 ) -> None:
     """Run `move_vjp` for columns lo .. hi of a group."""
-    group, group_bar = groups
     setting, work = run.setting, run.work
     dims, dx, dt = setting.dims, setting.dx, setting.dt
     n, width = work.place.shape[0], LANE_BYTES // q.itemsize
@@ -154,7 +186,6 @@ def begin_cotangent(
         v, C = load_v(q_next, i, dims), load_C(q_next, i, dims)
         F = load_F(q, i, dims)
         x_bar, F_bar = load_x(q_bar, i, dims), load_F(q_bar, i, dims)
-        F_bar = update_histories_vjp(group.terms, group_bar.terms, q, q_bar, i, load_F(q_next, i, dims), dt, F_bar)
         v_bar = add(load_v(q_bar, i, dims), scale(x_bar, dt))
         C_bar = add(load_C(q_bar, i, dims), scale(mul_bt(F_bar, F), dt))
         A = scale(C_bar, 4.0 / dx)
@@ -210,44 +241,44 @@ def momentum_vjp(groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep,
             present = vol > 0.0
             accumulate(fields_bar, VOLUME, i, select(present, stressed / select(present, vol, 1.0), 0.0))
             tau_bar = scale(G_bar, vol * (-4.0 * dt / (dx * dx)))
-            F_bar, C_bar = total_kirchhoff_vjp(group.terms, group_bar.terms, q, q_bar, i, F, C, tau_bar)
+            F_bar, C_bar = total_kirchhoff_vjp(group.terms, group_bar.terms, q, q_bar, i, F, C, dt, tau_bar)
             store_v(q_bar, i, scale(p_bar, m * kappa), dims)
             store_C(q_bar, i, add(C_bar, scale(G_bar, m * kappa)), dims)
             store_F(q_bar, i, add(F_bar, load_F(q_bar, i, dims)), dims)
         if at.ahead:
-            begin_but_for(groups[0].pulled, groups, run, bars, at, tile, end, thread)
-            write_momentum(group, run, at.q_before, tile, end)
+            begin_but_for(group.pulled, group, run, bars, at, tile, end, thread)
+            write_but_for(group.pulled, group, run, at.q_before, q, tile, end)
 
 
 @kernel
 def begin_between_lanes(
-    lanes: Array, groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep, lo: int, hi: int, thread: int
+    lanes: Array, group: Group, run: Run, bars: Bars, at: Substep, lo: int, hi: int, thread: int
 ) -> None:
     """Start the adjoint of the previous substep in columns lo .. hi without the lanes that forces pull."""
     begin = lo
     for lane_at in lanes[first_at_least(lanes, lo) : first_at_least(lanes, hi)]:
         if lane_at > begin:
-            begin_cotangent(groups, run, at.q_before, at.q, bars.q, begin, lane_at, thread)
+            begin_cotangent(group, run, at.q_before, at.q, bars.q, begin, lane_at, thread)
         begin = lane_at + LANE_BYTES // at.q.itemsize
     if hi > begin:
-        begin_cotangent(groups, run, at.q_before, at.q, bars.q, begin, hi, thread)
+        begin_cotangent(group, run, at.q_before, at.q, bars.q, begin, hi, thread)
 
 
-def begin_but_for(pulled: Any, groups: Any, run: Run, bars: Bars, at: Substep, lo: int, hi: int, thread: int) -> None:
+def begin_but_for(pulled: Any, group: Any, run: Run, bars: Bars, at: Substep, lo: int, hi: int, thread: int) -> None:
     """Start the adjoint of the previous substep in columns lo .. hi without the lanes in `pulled`, if there is any."""
     if pulled:
-        begin_between_lanes(pulled[0].first, groups, run, bars, at, lo, hi, thread)
+        begin_between_lanes(pulled[0].first, group, run, bars, at, lo, hi, thread)
     else:
-        begin_cotangent(groups, run, at.q_before, at.q, bars.q, lo, hi, thread)
+        begin_cotangent(group, run, at.q_before, at.q, bars.q, lo, hi, thread)
 
 
 @overload(begin_but_for)
-def _begin_but_for(pulled, groups, run, bars, at, lo, hi, thread):
-    def some(pulled, groups, run, bars, at, lo, hi, thread):
-        begin_between_lanes(pulled[0].first, groups, run, bars, at, lo, hi, thread)
+def _begin_but_for(pulled, group, run, bars, at, lo, hi, thread):
+    def some(pulled, group, run, bars, at, lo, hi, thread):
+        begin_between_lanes(pulled[0].first, group, run, bars, at, lo, hi, thread)
 
-    def none(pulled, groups, run, bars, at, lo, hi, thread):
-        begin_cotangent(groups, run, at.q_before, at.q, bars.q, lo, hi, thread)
+    def none(pulled, group, run, bars, at, lo, hi, thread):
+        begin_cotangent(group, run, at.q_before, at.q, bars.q, lo, hi, thread)
 
     return some if len(pulled) else none
 

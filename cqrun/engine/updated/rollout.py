@@ -42,7 +42,6 @@ class UpdatedRollout(Rollout):
         push = model.no_push([*self.drive.steady, *self.drive.forces])
         self.bundle = Run(self.setting, self.work, self.fields, push)
         self._check_start()
-        self._check_histories()
 
     def _record_start(self) -> None:
         record(self.probe, self.start, self.records[0])
@@ -54,14 +53,6 @@ class UpdatedRollout(Rollout):
     def unpack(self, q: Array, control: int) -> State:
         """Return a packed state of a control step as a State."""
         return State.unpack(q, self.model.layout, self.memory[control])
-
-    def _check_histories(self) -> None:
-        """Refuse a deformed start without the fields of histories that follow from F: its stress would be wrong."""
-        state, follow = self.inputs.state, [field.name for field in self.model.layout.history if field.follows]
-        if (state.F - np.eye(self.model.dim)).any():
-            for name in follow:
-                if not state.history[name].any():
-                    raise ValueError(f"the state starts deformed, so it must have `{name}`, which follows from F")
 
     def _check_start(self) -> None:
         astray = self._astray(self.start)

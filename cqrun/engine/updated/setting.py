@@ -80,6 +80,7 @@ class Substep(NamedTuple):
     q: Array
     q_next: Array
     q_before: Array  # the state before the previous substep; the adjoint uses it if `ahead`
+    q_after: Array  # the state after the next substep; the forward run uses it if `ahead`
 
 
 def make_work(

@@ -125,7 +125,8 @@ def advance(
                 activate(drive, run.fields, run.push, control)
             barrier(work.arrivals, crew.n_threads)
         begun, ahead = step > begin and follows(step, setting), step + 1 < end and follows(step + 1, setting)
-        substep(groups, conditions, drive, run, Substep(control, step, begun, ahead, q, q_next, q), crew)
+        q_after = states[here + 2] if keep and ahead else q_next
+        substep(groups, conditions, drive, run, Substep(control, step, begun, ahead, q, q_next, q, q_after), crew)
         barrier(work.arrivals, crew.n_threads)
         for other in range(crew.n_threads):
             if work.stray[other] >= 0:
@@ -158,7 +159,7 @@ def reverse(
         due = 0 if step == end - 1 or (step + 1) % SORT_EVERY == 0 else 1
         begun, ahead = step + 1 < end and follows(step + 1, setting), step > begin and follows(step, setting)
         q_before = states[step - begin - 1] if ahead else q
-        at = Substep(control, due, begun, ahead, q, q_next, q_before)
+        at = Substep(control, due, begun, ahead, q, q_next, q_before, q_next)
         substep_vjp(groups, pairs, conditions, coefficient_bar, drive, levels_bar, run, bars, at, crew)
         barrier(work.arrivals, crew.n_threads)
         if step % setting.substeps == 0 and crew.thread == 0:
