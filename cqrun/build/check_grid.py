@@ -35,6 +35,12 @@ CELLS = 3
 """Smallest number of cells through the thickness of a body; with 1, 2 and 3 a beam sags 32, 10 and 6 % too far."""
 
 
+OPEN = 3
+"""From this width a gap in a body of the reference frame opens nearly freely [cells]."""
+
+STIFF = "both sides share nodes, so it opens far too little (one of 2 cells by a tenth, of 3 cells by nine tenths)"
+
+
 def grid_warnings(
     scene: Scene, particles: Particles, conditions: Sequence[ConditionModel], rasters: Mapping[str, Raster]
 ) -> list[Problem]:
@@ -85,15 +91,24 @@ def _bodies(scene: Scene, rasters: Mapping[str, Raster]) -> Iterator[Problem]:
                 f"it gives way too easily; make it {CELLS * dx:.3g} m thick, or dx smaller"
             )
             yield Problem(scene.where(path), path, message)
-        border = int(np.ceil(CELLS * dx / pitch))
-        gaps = thinner(~np.pad(solid, border), TOO_CLOSE * dx / pitch)
-        if gaps.sum() * pitch**scene.dim > (TOO_CLOSE * dx) ** scene.dim:
-            at = _place(body, corner - border * pitch, pitch, np.argwhere(gaps)[0])
+        yield from _gaps(scene, body, path, rasters[name])
+
+
+def _gaps(scene: Scene, body: Body, path: str, raster: Raster) -> Iterator[Problem]:
+    """Yield a warning about a gap or a hole in a body that is narrow for the grid."""
+    dx, pitch, open_from = scene.world.dx, raster.pitch, OPEN if scene.world.frame == "reference" else TOO_CLOSE
+    border = int(np.ceil(CELLS * dx / pitch))
+    space = ~np.pad(raster.solid, border)
+    for width, what in ((TOO_CLOSE, "the material around it sticks together as if glued"), (open_from, STIFF)):
+        gaps = thinner(space, width * dx / pitch)
+        if gaps.sum() * pitch**scene.dim > (width * dx) ** scene.dim:
+            at = _place(body, raster.corner - border * pitch, pitch, np.argwhere(gaps)[0])
             message = (
-                f"has a gap or a hole at {at} that is less than {TOO_CLOSE:g} cells wide: the material around it "
-                f"sticks together as if glued; if it should not, make it {TOO_CLOSE * dx:.3g} m wide, or dx smaller"
+                f"has a gap or a hole at {at} that is less than {width:g} cells wide: {what}; "
+                f"if it should open freely, make it {open_from * dx:.3g} m wide, or dx smaller"
             )
             yield Problem(scene.where(path), path, message)
+            return
 
 
 def _place(body: Body, corner: Array, pitch: float, cell: Array) -> str:

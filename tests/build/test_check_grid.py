@@ -21,12 +21,15 @@ def box(corner: list[float], size: list[float]) -> dict[str, Any]:
 
 
 def warnings(
-    boundaries: dict[str, Any] | None = None, gravity: tuple[float, float] = (0.0, 0.0), **body: Any
+    boundaries: dict[str, Any] | None = None,
+    gravity: tuple[float, float] = (0.0, 0.0),
+    frame: str = "updated",
+    **body: Any,
 ) -> list[str]:
     """Return the warnings on a world of 50 by 50 cells with one body."""
     scene = {
         "cqrun": 1,
-        "world": {"size": [1, 1], "dx": DX, "frame": "updated", "gravity": list(gravity)},
+        "world": {"size": [1, 1], "dx": DX, "frame": frame, "gravity": list(gravity)},
         "bodies": {"a": {**BODY, **body}},
         "boundaries": boundaries or {},
         "time": {"duration": 0.1, "control_step": 0.1},
@@ -101,14 +104,22 @@ def test_a_thin_part_of_a_body():
     assert warnings(shape=None, parts=short) == []
 
 
-@pytest.mark.parametrize(("gap", "told"), [(0.5, True), (1, True), (1.5, False), (3, False)])
-def test_a_gap_within_a_body(gap, told):
+@pytest.mark.parametrize(
+    ("frame", "gap", "told"),
+    [
+        ("updated", 0.5, "1.5 cells wide: the material"), ("updated", 1, "1.5 cells"), ("updated", 1.5, ""),
+        ("reference", 1, "1.5 cells wide: the material"), ("reference", 2, "3 cells wide: both sides share nodes"),
+        ("reference", 3, ""),
+    ],
+)  # fmt: skip
+def test_a_gap_within_a_body(frame, gap, told):
     """Two fingers on one hand."""
     width = gap * DX
     fingers = [box([0.3, 0.3], [0.1, 0.3]), box([0.4 + width, 0.3], [0.1, 0.3]), box([0.3, 0.2], [0.2 + width, 0.1])]
-    found = warnings(shape={"union": {"shapes": fingers}})
-    assert ["has a gap or a hole at (0.4" in text for text in found] == [True] * told
-    assert all("make it 0.03 m wide" in text for text in found)
+    found = warnings(shape={"union": {"shapes": fingers}}, frame=frame)
+    assert ["has a gap or a hole at (0.4" in text and told in text for text in found] == [True] * bool(told)
+    free = {"updated": 0.03, "reference": 0.06}[frame]
+    assert all(f"make it {free} m wide" in text for text in found)
 
 
 def test_a_hole_that_closes():
