@@ -2,8 +2,8 @@
 
     python -m benchmarks.robots.gaps [--out FILE]
 
-Strip and gaps are 2 mm. What the blocks carry hangs on the strip alone, which bends where it has no block on it. In the
-plain strip, walls are as thin and there is no gap. Each is compared with its own finest grid.
+The strip is 2 mm thick, and the gaps between the blocks are 2 mm wide. Blocks are stiff, so the strip bends in the gaps
+alone. A plain strip shows what its thickness does without gaps. Each body is compared with itself on the finest grid.
 """
 
 from __future__ import annotations

@@ -34,11 +34,11 @@ ROWS = 2
 CELLS = 3
 """Smallest number of cells through the thickness of a body; with 1, 2 and 3 a beam sags 32, 10 and 6 % too far."""
 
-
 OPEN = 3
-"""From this width a gap in a body of the reference frame opens nearly freely [cells]."""
+"""From this width a gap in a body of the reference frame opens nearly freely [cells] (benchmarks/robots/gaps.py)."""
 
-STIFF = "both sides share nodes, so it opens far too little (one of 2 cells by a tenth, of 3 cells by nine tenths)"
+GLUED = "the material around it sticks together as if glued"
+STIFF = "both sides share nodes, so one of 2 cells opens by a tenth of what it should, one of 3 cells by nine tenths"
 
 
 def grid_warnings(
@@ -96,16 +96,17 @@ def _bodies(scene: Scene, rasters: Mapping[str, Raster]) -> Iterator[Problem]:
 
 def _gaps(scene: Scene, body: Body, path: str, raster: Raster) -> Iterator[Problem]:
     """Yield a warning about a gap or a hole in a body that is narrow for the grid."""
-    dx, pitch, open_from = scene.world.dx, raster.pitch, OPEN if scene.world.frame == "reference" else TOO_CLOSE
+    dx, pitch = scene.world.dx, raster.pitch
+    told = {TOO_CLOSE: GLUED} | ({OPEN: STIFF} if scene.world.frame == "reference" else {})
     border = int(np.ceil(CELLS * dx / pitch))
     space = ~np.pad(raster.solid, border)
-    for width, what in ((TOO_CLOSE, "the material around it sticks together as if glued"), (open_from, STIFF)):
+    for width, what in told.items():
         gaps = thinner(space, width * dx / pitch)
         if gaps.sum() * pitch**scene.dim > (width * dx) ** scene.dim:
             at = _place(body, raster.corner - border * pitch, pitch, np.argwhere(gaps)[0])
             message = (
                 f"has a gap or a hole at {at} that is less than {width:g} cells wide: {what}; "
-                f"if it should open freely, make it {open_from * dx:.3g} m wide, or dx smaller"
+                f"if it should open freely, make it {max(told) * dx:.3g} m wide, or dx smaller"
             )
             yield Problem(scene.where(path), path, message)
             return

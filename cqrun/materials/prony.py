@@ -170,8 +170,8 @@ def in_motion(view: PronyKernel, dt: float) -> RelaxingKernel:
     """Return the view for substeps dt [s]."""
     theta, n = unpack(view.theta), len(view.branches)
     time = theta[1 : 2 * n : 2]
-    half = np.exp(-0.5 * dt / np.where(time > 0.0, time, 1.0))  # columns between bodies have no times
-    theta = pack(np.concatenate([theta, half]), view.theta.dtype)
+    a = np.exp(-0.5 * dt / np.where(time > 0.0, time, 1.0))  # columns between bodies have no times
+    theta = pack(np.concatenate([theta, a]), view.theta.dtype)
     return RelaxingKernel(theta, view.rows + (0,) * n, (), view.branches, view.base)
 
 
