@@ -17,6 +17,7 @@ import numpy as np
 from cqrun.boundaries.condition import FACES
 from cqrun.build.particles import Particles
 from cqrun.build.regions import resolved
+from cqrun.engine.model import Lattice
 from cqrun.errors import Problem
 from cqrun.geometry.box import Box
 from cqrun.geometry.combinations import RegionUnion
@@ -55,6 +56,14 @@ def grid_offset(scene: Scene, particles: Particles) -> Array | None:
                 found[k, face.axis] = _beside_node(face.at, scene.world.dx)
     offset: Array = particles.found["offset"]
     return offset
+
+
+def lattice_of(scene: Scene, particles: Particles) -> Lattice | None:
+    """Return the lattices of the particles; None in the updated frame, which knows no neighbours."""
+    if scene.world.frame != "reference":
+        return None
+    spacing = [scene.bodies[name].lattice_spacing(scene.world.dx) or 0.0 for name in particles.names]
+    return Lattice(particles.x, np.array(spacing))
 
 
 def _beside_node(at: float, dx: float) -> float:

@@ -21,6 +21,7 @@ from cqrun.build.check_obstacles import obstacle_warnings
 from cqrun.build.particles import Particles
 from cqrun.build.raster import THIN, Raster, across, depth, membrane, neck, thinner
 from cqrun.engine.model import ConditionModel
+from cqrun.engine.reference.split import REACH
 from cqrun.engine.setting import MARGIN, grid_shape
 from cqrun.errors import Problem
 from cqrun.geometry.place import Place
@@ -35,10 +36,11 @@ CELLS = 3
 """Smallest number of cells through the thickness of a body; with 1, 2 and 3 a beam sags 32, 10 and 6 % too far."""
 
 OPEN = 3
-"""From this width a gap in a body of the reference frame opens nearly freely [cells] (benchmarks/robots/gaps.py)."""
+"""From this width a gap opens nearly freely in a body of the reference frame without a lattice [cells]."""
 
 GLUED = "the material around it sticks together as if glued"
 STIFF = "both sides share nodes, so one of 2 cells opens by a tenth of what it should, one of 3 cells by nine tenths"
+CLOSED = "no layer of particles may be missing there, and then the material around it sticks together as if glued"
 
 
 def grid_warnings(
@@ -97,7 +99,7 @@ def _bodies(scene: Scene, rasters: Mapping[str, Raster]) -> Iterator[Problem]:
 def _gaps(scene: Scene, body: Body, path: str, raster: Raster) -> Iterator[Problem]:
     """Yield a warning about a gap or a hole in a body that is narrow for the grid."""
     dx, pitch = scene.world.dx, raster.pitch
-    told = {TOO_CLOSE: GLUED} | ({OPEN: STIFF} if scene.world.frame == "reference" else {})
+    told = _told_of_gaps(scene, body)
     border = int(np.ceil(CELLS * dx / pitch))
     space = ~np.pad(raster.solid, border)
     for width, what in told.items():
@@ -105,11 +107,22 @@ def _gaps(scene: Scene, body: Body, path: str, raster: Raster) -> Iterator[Probl
         if gaps.sum() * pitch**scene.dim > (width * dx) ** scene.dim:
             at = _place(body, raster.corner - border * pitch, pitch, np.argwhere(gaps)[0])
             message = (
-                f"has a gap or a hole at {at} that is less than {width:g} cells wide: {what}; "
+                f"has a gap or a hole at {at} that is less than {width:.3g} cells wide: {what}; "
                 f"if it should open freely, make it {max(told) * dx:.3g} m wide, or dx smaller"
             )
             yield Problem(scene.where(path), path, message)
             return
+
+
+def _told_of_gaps(scene: Scene, body: Body) -> dict[float, str]:
+    """Return what gaps do that are narrower than a width [cells], from the narrowest on.
+
+    On one lattice in the reference frame, each side of a gap has nodes of its own (engine/reference/split.py).
+    """
+    if scene.world.frame == "updated":
+        return {TOO_CLOSE: GLUED}
+    spacing = body.lattice_spacing(scene.world.dx)
+    return {TOO_CLOSE: GLUED, OPEN: STIFF} if spacing is None else {REACH * spacing / scene.world.dx: CLOSED}
 
 
 def _place(body: Body, corner: Array, pitch: float, cell: Array) -> str:

@@ -14,14 +14,14 @@ import numpy as np
 
 from cqrun.boundaries.condition import BoundaryCondition
 from cqrun.boundaries.solid import PLANE, Solid, make_solids, signed_distance
-from cqrun.build.alignment import grid_offset
+from cqrun.build.alignment import grid_offset, lattice_of
 from cqrun.build.assembly import Assembly
 from cqrun.build.limits import Limit, contact_limit
 from cqrun.build.particles import Particles
 from cqrun.build.regions import boundary
 from cqrun.build.rigid import rigid_models, rigid_overlaps
 from cqrun.build.surfaces import BodySurface, is_obstacle, surface_of, touches
-from cqrun.engine.model import ConditionModel
+from cqrun.engine.model import ConditionModel, Lattice
 from cqrun.engine.reference.contact import contact_square, in_3d
 from cqrun.engine.reference.poses import first_poses
 from cqrun.engine.rigid_model import RigidModel
@@ -239,10 +239,12 @@ def _fastest(particles: Particles, assembly: Assembly, body: str, density: Array
     surface, part, k = surface_of(assembly.scene, particles), particles.of(body), particles.names.index(body)
     own = slice(int(surface.begin[k]), int(surface.begin[k + 1]))
     stiffness, impedance = (a[own] for a in _constants(particles, assembly, surface, dx))
-    offset = grid_offset(assembly.scene, particles)
+    offset, lattice = grid_offset(assembly.scene, particles), lattice_of(assembly.scene, particles)
     assert offset is not None  # contact belongs to the reference frame
+    assert lattice is not None
     square = contact_square(
         Layout(assembly.scene.dim, (part.stop - part.start,)), particles.x[part], density * particles.volume[part],
         surface.particle[own] - part.start, surface.x[own], stiffness, dx, offset[[k]],
+        Lattice(lattice.x[part], lattice.spacing[[k]]),
     )  # fmt: skip
     return square, float((impedance / stiffness).max())

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.build.actuation import Actuation
-from cqrun.build.alignment import alignment_warnings, grid_offset
+from cqrun.build.alignment import alignment_warnings, grid_offset, lattice_of
 from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_frame import frame_problems
@@ -139,6 +139,7 @@ def build(scene: Scene) -> Built:
         meeting=meeting,
         rigid=rigid,
         offset=offset,
+        lattice=lattice_of(scene, particles),
         n_nodes=0 if offset is None else count_nodes(particles.layout, particles.x, scene.world.dx, offset),
         reactions=needed_boundaries(scene),
         centers=centers(scene, particles, conditions) if scene.world.frame == "reference" else {},

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -94,6 +94,17 @@ class ConditionModel:
         return view._replace(coefficient=float(coefficient))
 
 
+class Lattice(NamedTuple):
+    """Where neighbours are, from which gaps in a body are known.
+
+    `x` (N, D) are the positions of all particles on their lattices [m], whatever shape they take later. `spacing` (B,)
+    is the distance between neighbours in each body [m], 0 for those that are not on one lattice.
+    """
+
+    x: Array
+    spacing: Array
+
+
 @dataclass(frozen=True)
 class Model:
     """The parts of a rollout that are fixed."""
@@ -116,6 +127,7 @@ class Model:
     n_nodes: int = 0  # of all bodies, in the reference frame
     averaged: bool = False  # whether volumes are means over the corners of cells, in the reference frame
     offset: Array | None = None  # of each body's grid from that of the world (B, D) [m], in the reference frame
+    lattice: Lattice | None = None  # on which particles hang together, in the reference frame
     settled: bool = False  # whether the motion starts at equilibrium
     static: bool = False  # whether equilibria are sought, and no motion
     surface: SurfaceModel | None = None  # of the bodies, in the reference frame

@@ -53,7 +53,19 @@ class Stencils(NamedTuple):
     f: Array
 
 
+class SplitStencils(NamedTuple):
+    """Stencils whose nodes are in a table: where the 3^D of each particle begin (n,), and f. See reference/split.py."""
+
+    first: Array
+    f: Array
+    table: Array
+
+
 own_symbols(Stencils)
+own_symbols(SplitStencils)
+
+FIXED = (Stencils, SplitStencils)
+"""Stencils that never change."""
 
 
 @kernel
@@ -94,12 +106,65 @@ def stencil_at(place: Array, p: int, strides: Any) -> Any:
 
 def stencil(place: Any, p: int, strides: Any) -> Any:
     """Return the first node of a particle's stencil, and f."""
-    return (int(place.first[p]), place.f[p].copy()) if isinstance(place, Stencils) else stencil_at(place, p, strides)
+    return (int(place.first[p]), place.f[p].copy()) if isinstance(place, FIXED) else stencil_at(place, p, strides)
 
 
 def _never_changes(place: Any) -> bool:
-    """Return whether a Numba type is that of `Stencils`."""
-    return isinstance(place, types.NamedTuple) and place.instance_class is Stencils
+    """Return whether a Numba type is that of stencils that never change."""
+    return isinstance(place, types.NamedTuple) and place.instance_class in FIXED
+
+
+def _has_table(place: Any) -> bool:
+    """Return whether a Numba type is that of `SplitStencils`."""
+    return isinstance(place, types.NamedTuple) and place.instance_class is SplitStencils
+
+
+def node_of(place: Any, first: int, i: int, j: int, k: int, strides: Any) -> Any:
+    """Return node (i, j, k) of the stencil that begins at `first`."""
+    if isinstance(place, SplitStencils):
+        return int(place.table[first + 9 * i + 3 * j + k])
+    return first + i * strides[0] + j * strides[1] + k
+
+
+@overload(node_of)
+def _node_of(place, first, i, j, k, strides):
+    if _has_table(place):
+        return lambda place, first, i, j, k, strides: place.table[first + 9 * i + 3 * j + k]
+    return lambda place, first, i, j, k, strides: first + i * strides[0] + j * strides[1] + k
+
+
+def records_at(grid: Array, place: Any, nodes: Any, i: int, j: int, k: int, strides: Any) -> Any:
+    """Return the records of nodes (i, j, k) of the stencils that begin at `nodes`, in one lane value."""
+    return load_records(grid, tuple(node_of(place, first, i, j, k, strides) for first in nodes), 0)
+
+
+@overload(records_at)
+def _records_at(grid, place, nodes, i, j, k, strides):
+    if not _has_table(place):
+        return lambda grid, place, nodes, i, j, k, strides: load_records(
+            grid, nodes, i * strides[0] + j * strides[1] + k
+        )
+    return written(_by_table("load_records", len(nodes)), {"load_records": load_records})
+
+
+def pairs_at(pairs: Array, place: Any, nodes: Any, i: int, j: int, k: int, strides: Any) -> Any:
+    """Return the first and the second records of pairs at nodes (i, j, k) of the stencils that begin at `nodes`."""
+    return load_pairs(pairs, tuple(node_of(place, first, i, j, k, strides) for first in nodes), 0)
+
+
+@overload(pairs_at)
+def _pairs_at(pairs, place, nodes, i, j, k, strides):
+    if not _has_table(place):
+        return lambda pairs, place, nodes, i, j, k, strides: load_pairs(
+            pairs, nodes, i * strides[0] + j * strides[1] + k
+        )
+    return written(_by_table("load_pairs", len(nodes)).replace("grid", "pairs"), {"load_pairs": load_pairs})
+
+
+def _by_table(load: str, count: int) -> str:
+    """Return the source of a load of the nodes that a table gives."""
+    nodes = ", ".join(f"place.table[nodes[{n}] + 9 * i + 3 * j + k]" for n in range(count))
+    return f"lambda grid, place, nodes, i, j, k, strides: {load}(grid, ({nodes},), 0)"
 
 
 @overload(stencil)
@@ -135,7 +200,7 @@ def scatter(
         p = order[index]
         prefetch_fields(place, values, affines, order[min(index + AHEAD, n - 1)], n, in_3d)
         first, f = stencil(place, p, strides)
-        spread_out(grid, values, affines, p, n, first, f, strides, in_3d)
+        spread_out(grid, values, affines, place, p, n, first, f, strides, in_3d)
 
 
 @kernel
@@ -146,14 +211,14 @@ def scatter_tile(
     n, in_3d = values[0].shape[0], len(dims) == 3
     for p in range(lo, hi):
         first, f = stencil(place, p, strides)
-        spread_out(grid, values, affines, p - lo, n, first, f, strides, in_3d)
+        spread_out(grid, values, affines, place, p - lo, n, first, f, strides, in_3d)
 
 
 @kernel
 def spread_out(
-    grid: Array, values: Any, affines: Any, p: int, n: int, first: int, f: Any, strides: Any, in_3d: bool
+    grid: Array, values: Any, affines: Any, place: Any, p: int, n: int, first: int, f: Any, strides: Any, in_3d: bool
 ) -> None:
-    """Add the affine fields in entry p of the arrays to the stencil at a node."""
+    """Add the affine fields in entry p of the arrays to the stencil that begins at `first`."""
     W = weights(f)
     w0, w1, w2 = lane(W[0], 2), lane(W[1], 2), lane(W[2], 2)
     a = load_each(values, p)
@@ -165,10 +230,12 @@ def spread_out(
         for j in range(3):
             w = w_i * lane(W[j], 1)
             a_j = a_i + b1 * j
-            node = first + i * strides[0] + j * strides[1]
+            node = node_of(place, first, i, j, 0, strides)
             store_wide(grid, node, load_wide(grid, node, a) + a_j * w0 * w)
-            store_wide(grid, node + 1, load_wide(grid, node + 1, a) + (a_j * w1 + c1) * w)
-            store_wide(grid, node + 2, load_wide(grid, node + 2, a) + (a_j * w2 + c2) * w)
+            node = node_of(place, first, i, j, 1, strides)
+            store_wide(grid, node, load_wide(grid, node, a) + (a_j * w1 + c1) * w)
+            node = node_of(place, first, i, j, 2, strides)
+            store_wide(grid, node, load_wide(grid, node, a) + (a_j * w2 + c2) * w)
 
 
 @kernel
@@ -181,7 +248,7 @@ def stencils_at(place: Array, p: int, strides: Any) -> Any:
 
 def stencils(place: Any, p: int, strides: Any) -> Any:
     """Return the first nodes of the stencils of particles p, p + 1, ... of a lane value, and their f's."""
-    if not isinstance(place, Stencils):
+    if not isinstance(place, FIXED):
         return stencils_at(place, p, strides)
     return tuple(place.first[p : p + records_in_lane(place.f)]), load_neighbours(place.f, p)
 
@@ -216,9 +283,9 @@ def gather(grid: Array, place: Array, value: Array, moment: Array, lo: int, hi: 
             s, s1, s2 = zero, zero, zero
             for j in range(3):
                 w_j = spread(W[j], 1)
-                node = i * strides[0] + j * strides[1]
-                g1, g2 = load_records(grid, nodes, node + 1) * w1, load_records(grid, nodes, node + 2) * w2
-                r = load_records(grid, nodes, node) * w0 + g1 + g2
+                g1 = records_at(grid, place, nodes, i, j, 1, strides) * w1
+                g2 = records_at(grid, place, nodes, i, j, 2, strides) * w2
+                r = records_at(grid, place, nodes, i, j, 0, strides) * w0 + g1 + g2
                 s = s + r * w_j
                 s1 = s1 + r * (w_j * j)
                 s2 = s2 + (g1 + g2 * 2.0) * w_j
@@ -249,10 +316,9 @@ def gather_both(
             s, s1, s2, t, t1, t2 = zero, zero, zero, zero, zero, zero
             for j in range(3):
                 w_j = spread(W[j], 1)
-                node = i * strides[0] + j * strides[1]
-                g0, h0 = load_pairs(pairs, nodes, node)
-                g1, h1 = load_pairs(pairs, nodes, node + 1)
-                g2, h2 = load_pairs(pairs, nodes, node + 2)
+                g0, h0 = pairs_at(pairs, place, nodes, i, j, 0, strides)
+                g1, h1 = pairs_at(pairs, place, nodes, i, j, 1, strides)
+                g2, h2 = pairs_at(pairs, place, nodes, i, j, 2, strides)
                 g1, g2, h1, h2 = g1 * w1, g2 * w2, h1 * w1, h2 * w2
                 g, h = g0 * w0 + g1 + g2, h0 * w0 + h1 + h2
                 s, t = s + g * w_j, t + h * w_j
@@ -359,8 +425,9 @@ def gather_slopes(
             a_i = a + b0 * i if in_3d else a
             for j in range(3):
                 w_j, d_j = lane(W[j], 1), lane(S[j], 1)
-                at = (node + i * strides[0] + j * strides[1]) * stride + first
-                g0, g1, g2 = load4(grid, at), load4(grid, at + stride), load4(grid, at + 2 * stride)
+                g0 = load4(grid, node_of(place, node, i, j, 0, strides) * stride + first)
+                g1 = load4(grid, node_of(place, node, i, j, 1, strides) * stride + first)
+                g2 = load4(grid, node_of(place, node, i, j, 2, strides) * stride + first)
                 a_j = a_i + b1 * j
                 t0, t1, t2 = g0 * a_j, g1 * (a_j + b2), g2 * (a_j + b2 + b2)
                 t = t0 * w0 + t1 * w1 + t2 * w2

@@ -56,6 +56,10 @@ class Lattice(Sampling):
     def needs_spacing(self) -> bool:
         return self.count is None
 
+    @property
+    def is_lattice(self) -> bool:
+        return self.count is None
+
     def estimate(self, shape: Shape, spacing: float | None) -> float:
         dim = len(shape.bounds()[0])
         return super().estimate(shape, spacing) if self.count is None else float(self.count) ** dim

@@ -20,6 +20,11 @@ class Sampling(Plugin):
         """Whether the body must give a spacing of particles."""
         return True
 
+    @property
+    def is_lattice(self) -> bool:
+        """Whether neighbours are a spacing apart along the axes, so that a layer that misses is a gap."""
+        return False
+
     def estimate(self, shape: Shape, spacing: float | None) -> float:
         """Return about how many points it tries, 0 if the shape cannot be filled; arguments as in `sample`."""
         lower, upper = shape.bounds()

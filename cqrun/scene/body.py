@@ -110,6 +110,11 @@ class Body(Spec):
             return dx / self.particles_per_cell ** (1 / len(self.velocity))
         return self.spacing
 
+    def lattice_spacing(self, dx: float) -> float | None:
+        """Return the distance between particles [m] if all are on one lattice; None if not. Each part has its own."""
+        one = self.parts is None and self.sampling.value.is_lattice
+        return self.particle_spacing(dx) if one else None
+
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
         problems, n_rates = super().dim_problems(dim), 1 if dim == 2 else 3

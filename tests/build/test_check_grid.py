@@ -105,20 +105,20 @@ def test_a_thin_part_of_a_body():
 
 
 @pytest.mark.parametrize(
-    ("frame", "gap", "told"),
+    ("frame", "sampling", "gap", "told", "free"),
     [
-        ("updated", 0.5, "1.5 cells wide: the material"), ("updated", 1, "1.5 cells"), ("updated", 1.5, ""),
-        ("reference", 1, "1.5 cells wide: the material"), ("reference", 2, "3 cells wide: both sides share nodes"),
-        ("reference", 3, ""),
+        ("updated", "lattice", 0.5, "1.5 cells wide: the material", 0.03), ("updated", "lattice", 1, "1.5 cells", 0.03),
+        ("updated", "lattice", 1.5, "", 0), ("reference", "lattice", 0.5, "0.875 cells wide: no layer", 0.0175),
+        ("reference", "lattice", 1, "", 0), ("reference", "jittered", 1, "1.5 cells wide: the material", 0.06),
+        ("reference", "jittered", 2, "3 cells wide: both sides share nodes", 0.06), ("reference", "jittered", 3, "", 0),
     ],
 )  # fmt: skip
-def test_a_gap_within_a_body(frame, gap, told):
+def test_a_gap_within_a_body(frame, sampling, gap, told, free):
     """Two fingers on one hand."""
     width = gap * DX
     fingers = [box([0.3, 0.3], [0.1, 0.3]), box([0.4 + width, 0.3], [0.1, 0.3]), box([0.3, 0.2], [0.2 + width, 0.1])]
-    found = warnings(shape={"union": {"shapes": fingers}}, frame=frame)
+    found = warnings(shape={"union": {"shapes": fingers}}, frame=frame, sampling={sampling: {}})
     assert ["has a gap or a hole at (0.4" in text and told in text for text in found] == [True] * bool(told)
-    free = {"updated": 0.03, "reference": 0.06}[frame]
     assert all(f"make it {free} m wide" in text for text in found)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from reference import Array, determinant
+from split_nodes import layers
 
 from cqrun.engine.model import Inputs, Model
 
@@ -18,10 +19,13 @@ def corners(model: Model, X: Array) -> Iterator[tuple[Array, Array]]:
     body = np.repeat(np.arange(len(model.layout.counts)), model.layout.counts)
     low = np.floor(X.real / model.dx - 0.5).astype(int)
     place = X / model.dx - 0.5 - low
-    shape = np.array(model.grid_shape) + 20
+    shape, layer = np.array(model.grid_shape) + 20, layers(model, X)
     for which in np.ndindex(*(2,) * model.dim):
         number = np.ravel_multi_index(tuple((low + which + 10).T), tuple(shape))
-        yield number + body * int(np.prod(shape)), np.prod(np.where(which, place, 1.0 - place), axis=1)
+        yield (
+            number + (body + len(model.layout.counts) * layer[which]) * int(np.prod(shape)),
+            np.prod(np.where(which, place, 1.0 - place), axis=1),
+        )
 
 
 def slopes(parameters: list[Array], J: Array) -> Array:

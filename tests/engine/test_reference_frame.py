@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from cqrun.boundaries.slip import Slip
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.frames import make_rollout
-from cqrun.engine.model import GroupModel, LossBar, Records
+from cqrun.engine.model import GroupModel, Lattice, LossBar, Records
 from cqrun.engine.reference.ghost import THIRD
 from cqrun.engine.reference.moves import rotation_matrix
 from cqrun.engine.reference.stretch import LEAST
@@ -48,6 +48,11 @@ def held(dim, *, viscous=True, seed=0, **options):
     return replace(model, conditions=tuple(walls), groups=groups, frame="reference"), inputs
 
 
+def split(model, inputs, spacing=0.0):
+    """Return a model whose particles hang together if they are 1.75 spacings apart; all of them for a spacing of 0."""
+    return replace(model, lattice=Lattice(inputs.state.x.copy(), np.full(2, spacing)))
+
+
 def compiled(model, inputs, viscous):
     """Return the engine's model and inputs: without the viscous term, a rollout runs backwards."""
     if viscous:
@@ -69,22 +74,24 @@ def completed(bar, viscous):
 CASES = {
     "2D": (2, True, False), "2D reversed": (2, False, False), "3D": (3, True, False), "3D reversed": (3, False, False),
     "2D means": (2, True, True), "2D means, reversed": (2, False, True), "3D means, reversed": (3, False, True),
+    "2D split": (2, True, False, 0.06), "3D split, means, reversed": (3, False, True, 0.08),
 }  # fmt: skip
-"""Name -> dimension, whether the material is viscous, and whether volumes are averaged."""
+"""Name -> dimension, whether the material is viscous, whether volumes are averaged, and the lattice's spacing."""
 
 
 @pytest.fixture(scope="module", params=CASES.values(), ids=CASES)
 def case(request):
     """Return a model, its inputs, cotangents, the rollout and its gradient."""
-    dim, viscous, averaged = request.param
+    dim, viscous, averaged, *spacing = request.param
     rng = np.random.default_rng(7)
     model, inputs = held(dim, viscous=viscous)
-    model, inputs.shaped = replace(model, averaged=averaged), True
+    model, inputs.shaped = replace(split(model, inputs, *spacing), averaged=averaged), True
     records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
     state_bar = random_state(inputs.state, rng)
     rollout = make_rollout(*compiled(model, inputs, viscous), adjoint=True)
     records, bar = rollout.gradient(lambda records, state: LossBar(records_bar, state_bar))
     assert rollout.reversible == (not viscous)
+    assert bool(len(rollout.rest.patches.split)) == bool(spacing)
     return model, inputs, records_bar, state_bar, rollout, records, completed(bar, viscous), viscous
 
 
@@ -113,10 +120,12 @@ def test_dot_product(case, kind, rng):
 @needs_jit
 @pytest.mark.parametrize("precision", [np.float64, np.float32])
 @pytest.mark.parametrize("viscous", [True, False], ids=["viscous", "elastic"])
-@pytest.mark.parametrize("averaged", [True, False], ids=["averaged", "local"])
-def test_any_number_of_threads_gives_the_same_bits(averaged, viscous, precision):
+@pytest.mark.parametrize(
+    ("averaged", "spacing"), [(True, 0.0), (False, 0.0), (True, 0.06)], ids=["averaged", "local", "split"]
+)
+def test_any_number_of_threads_gives_the_same_bits(averaged, spacing, viscous, precision):
     model, inputs = held(2, viscous=viscous, real=precision)
-    model, inputs.shaped = replace(model, averaged=averaged), averaged
+    model, inputs.shaped = replace(split(model, inputs, spacing), averaged=averaged), averaged
     records_bar = random_records(Records.zeros(model.n_controls, 3, 2), np.random.default_rng(1))
     found = []
     for threads in (1, 2, 3):
@@ -127,10 +136,14 @@ def test_any_number_of_threads_gives_the_same_bits(averaged, viscous, precision)
     assert found[0] == found[1] == found[2]
 
 
-@pytest.mark.parametrize(("dim", "averaged"), [(2, False), (3, False), (2, True)])
-def test_a_reversed_gradient_is_that_of_kept_states(dim, averaged):
+@pytest.mark.parametrize(
+    ("dim", "averaged", "spacing"),
+    [(2, False, 0.0), (3, False, 0.0), (2, True, 0.0), (2, True, 0.06)],
+    ids=["2D", "3D", "averaged", "split"],
+)
+def test_a_reversed_gradient_is_that_of_kept_states(dim, averaged, spacing):
     model, inputs = compiled(*held(dim, viscous=False, substeps=8, controls=3), viscous=False)
-    model, inputs.shaped = replace(model, averaged=averaged), True
+    model, inputs.shaped = replace(split(model, inputs, spacing), averaged=averaged), True
     records_bar = random_records(Records.zeros(model.n_controls, 3, dim), np.random.default_rng(2))
     gradients = []
     for reversible in (True, False):
@@ -185,11 +198,14 @@ def loss(records):
 @pytest.mark.parametrize(
     "kind", ["x", "v", "mass", "fixed_corotated.E", "neo_hookean.nu", "muscle.activation", "force"]
 )
-@pytest.mark.parametrize(("viscous", "averaged"), [(True, False), (False, False), (False, True)],
-                         ids=["viscous", "elastic", "averaged"])  # fmt: skip
-def test_taylor_remainder_is_of_second_order(viscous, averaged, kind, rng):
+@pytest.mark.parametrize(
+    ("viscous", "averaged", "spacing"),
+    [(True, False, 0.0), (False, False, 0.0), (False, True, 0.0), (False, True, 0.06)],
+    ids=["viscous", "elastic", "averaged", "split"],
+)
+def test_taylor_remainder_is_of_second_order(viscous, averaged, spacing, kind, rng):
     model, inputs = held(2, viscous=viscous, substeps=8, controls=3, seed=4)
-    model, inputs.shaped = replace(model, averaged=averaged), True
+    model, inputs.shaped = replace(split(model, inputs, spacing), averaged=averaged), True
 
     def loss_bar(records, _):
         return LossBar(rebuilt(records, [np.cos(a) + a for a in parts(records)]))

@@ -13,9 +13,9 @@ from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.path import RestPath
 
 
-@pytest.mark.parametrize(("dim", "averaged"), CASES.values(), ids=CASES)
-def test_the_gradient_by_rest_positions_is_that_of_differences(dim, averaged, rng):
-    model, inputs = cantilever(dim, uneven=0.02)
+@pytest.mark.parametrize(("dim", "averaged", "slit"), CASES.values(), ids=CASES)
+def test_the_gradient_by_rest_positions_is_that_of_differences(dim, averaged, slit, rng):
+    model, inputs = cantilever(dim, uneven=0.02, slit=slit)
     model, inputs.shaped = replace(model, averaged=averaged), True
     equilibrium = Equilibrium(model, inputs)
     rest = equilibrium.solve(tolerance=1e-12)

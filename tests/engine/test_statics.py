@@ -13,7 +13,7 @@ from test_reference_frame import ELASTIC, SHEAR
 from cqrun.actuators import cable, tension
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.frames import make_rollout
-from cqrun.engine.model import GroupModel, LossBar, Records
+from cqrun.engine.model import GroupModel, Lattice, LossBar, Records
 from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.krylov import conjugate_gradients, dot
@@ -25,11 +25,11 @@ from cqrun.state import State
 DX = 0.1
 
 
-def cantilever(dim, *, gravity=-4.0, real=np.float64, uneven=0.0, walls=()):
+def cantilever(dim, *, gravity=-4.0, real=np.float64, uneven=0.0, walls=(), slit=False):
     """Return a clamped beam of two laws with a muscle, a taut cable and one with a tension, and its inputs.
 
     A lattice has many nodes of equal fill, and the ghost penalty takes the least of four, which is a kink. Particles
-    that are moved by the part `uneven` of a cell have none.
+    that are moved by the part `uneven` of a cell have none. A slit of 0.6 cells leads down from the top.
     """
     rng = np.random.default_rng(3)
     counts = (14, 4, 4)[:dim]
@@ -40,6 +40,7 @@ def cantilever(dim, *, gravity=-4.0, real=np.float64, uneven=0.0, walls=()):
     route = top[[4, 8, 13]]
     below_top = np.flatnonzero(np.all(x[:, 1:] < x[:, 1:].min(axis=0) + 1e-9, axis=1))[[3, 7, 12]]
     x = x + uneven * DX * np.random.default_rng(11).normal(size=x.shape)
+    x[(x[:, 0] > 0.6) & (x[:, -1] > 0.25), 0] += 0.06 * slit
     length = float(np.linalg.norm(np.diff(x[route], axis=0), axis=1).sum())
     up = np.zeros(dim)
     up[-1] = gravity
@@ -55,23 +56,29 @@ def cantilever(dim, *, gravity=-4.0, real=np.float64, uneven=0.0, walls=()):
     )  # fmt: skip
     inputs.terms = [[inputs.terms[0][k] for k in (0, 1, 3)]]
     group = GroupModel((0,), ELASTIC, STRESSES, shear=(SHEAR[0], SHEAR[1], SHEAR[3]))
+    lattice = Lattice(x, np.full(1, 0.05)) if slit else None
     kinds = [a.kernel for a in model.actuators]
     inputs.strength[kinds.index(STRESSES[0])] = 2e3
     inputs.strength[kinds.index(cable.CableKernel)] = 100.0 * 0.05 ** (dim - 2)
     inputs.strength[kinds.index(tension.TensionKernel)] = 5.0 * 0.05 ** (dim - 2)
-    return replace(model, frame="reference", groups=(group,)), inputs
+    return replace(model, frame="reference", groups=(group,), lattice=lattice), inputs
 
 
-CASES = {"2D": (2, False), "3D": (3, False), "2D averaged": (2, True), "3D averaged": (3, True)}
+CASES = {
+    "2D": (2, False, False), "3D": (3, False, False), "2D averaged": (2, True, False), "3D averaged": (3, True, False),
+    "2D averaged, with a slit": (2, True, True), "3D with a slit": (3, False, True),
+}  # fmt: skip
+"""Name -> dimension, whether volumes are averaged, and whether there is a slit."""
 
 
 @pytest.fixture(scope="module", params=CASES.values(), ids=CASES)
 def rested(request):
     """Return a cantilever's model, inputs, equilibrium and rest."""
-    dim, averaged = request.param
-    model, inputs = cantilever(dim)
+    dim, averaged, slit = request.param
+    model, inputs = cantilever(dim, slit=slit)
     model = replace(model, averaged=averaged)
     equilibrium = Equilibrium(model, inputs)
+    assert bool(len(equilibrium.rollout.rest.patches.split)) == slit
     return model, inputs, equilibrium, equilibrium.solve(tolerance=1e-12)
 
 

@@ -17,6 +17,7 @@ import reference
 from gripping import Gripping
 from mean_volumes import more_stress
 from reference import Array, Moving, t
+from split_nodes import layers
 from touching import Meeting, Touching
 
 from cqrun.engine.model import Inputs, Model, Records
@@ -25,10 +26,17 @@ from cqrun.engine.statics.holding import Planes
 
 
 def stencil(model: Model, X: Array) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield (node, weight, arm) of every particle; the nodes of a body have numbers of their own."""
-    n_grid, body = int(np.prod(model.grid_shape)), np.repeat(np.arange(len(model.layout.counts)), model.layout.counts)
-    for node, weight, arm in reference.stencil(model, X):
-        yield node + n_grid * body, weight, arm
+    """Yield (node, weight, arm) of every particle; nodes of a body, and of each side of a gap, have own numbers."""
+    n_grid, n_bodies = int(np.prod(model.grid_shape)), len(model.layout.counts)
+    body = np.repeat(np.arange(n_bodies), model.layout.counts)
+    for (node, weight, arm), layer in zip(reference.stencil(model, X), layers(model, X).values(), strict=True):
+        yield node + n_grid * (body + n_bodies * layer), weight, arm
+
+
+def count_nodes(model: Model, stencils: list[tuple[Array, Array, Array]]) -> int:
+    """Return the number of nodes of all bodies in all layers."""
+    all_bodies = len(model.layout.counts) * int(np.prod(model.grid_shape))
+    return (max(int(node.max()) for node, _, _ in stencils) // all_bodies + 1) * all_bodies
 
 
 def held(model: Model, v: Array, present: Array) -> Array:
@@ -72,8 +80,15 @@ def ghost_runs(
 ) -> list[tuple[list[int], Array]]:
     """Return the runs of four nodes along an axis of which one is nearly empty, with their least fill."""
     n_grid = int(np.prod(model.grid_shape))
-    fill = scattered(stencils, len(model.layout.counts) * n_grid, volume) / model.dx**model.dim
-    found = []
+    fill = scattered(stencils, count_nodes(model, stencils), volume) / model.dx**model.dim
+    found: list[tuple[list[int], Array]] = []
+    if split(model, stencils):
+        for axis in range(model.dim):
+            for run in joined_runs(model, stencils, axis):
+                lightest = run[int(np.argmin(fill[run].real))]
+                if 0 < fill[lightest].real < 0.6:
+                    found.append((run, fill[lightest]))
+        return found
     for n in np.flatnonzero(fill.real > 0):
         place = np.array(np.unravel_index(n % n_grid, model.grid_shape))
         for axis in range(model.dim):
@@ -86,6 +101,26 @@ def ghost_runs(
     return found
 
 
+def split(model: Model, stencils: list[tuple[Array, Array, Array]]) -> bool:
+    """Return whether any node is split."""
+    return count_nodes(model, stencils) > len(model.layout.counts) * int(np.prod(model.grid_shape))
+
+
+def joined_runs(model: Model, stencils: list[tuple[Array, Array, Array]], axis: int) -> list[list[int]]:
+    """Return the runs of four nodes along an axis, each of which shares a particle with the next."""
+    following: dict[int, set[int]] = {}
+    offsets = list(np.ndindex(*(3,) * model.dim))
+    for k, offset in enumerate(offsets):
+        if offset[axis] < 2:
+            other = offsets.index(tuple(o + (a == axis) for a, o in enumerate(offset)))
+            for here, there in zip(stencils[k][0], stencils[other][0], strict=True):
+                following.setdefault(int(here), set()).add(int(there))
+    runs = [[n] for n in following]
+    for _ in range(3):
+        runs = [[*run, there] for run in runs for there in sorted(following.get(run[-1], ()))]
+    return runs
+
+
 def ghost_force(model: Model, runs: list[tuple[list[int], Array]], mu: Array, u: Array) -> Array:
     """Return -dE/du of E = 1e-3 mu dx^(D-2) / 2 sum fill |u_3 - 3 u_2 + 3 u_1 - u_0|^2."""
     n_grid, third = int(np.prod(model.grid_shape)), (-1, 3, -3, 1)
@@ -93,7 +128,7 @@ def ghost_force(model: Model, runs: list[tuple[list[int], Array]], mu: Array, u:
     for run, fill in runs:
         difference = np.dot(third, u[run])
         for node, factor in zip(run, third, strict=True):
-            f[node] -= 1e-3 * mu[node // n_grid] * model.dx ** (model.dim - 2) * fill * factor * difference
+            f[node] -= 1e-3 * mu[node // n_grid % len(mu)] * model.dx ** (model.dim - 2) * fill * factor * difference
     return f
 
 
@@ -172,7 +207,7 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
     """Return the probe's records and the last state; `watch` gets what touches obstacles, and what meets."""
     X, fields, dt, A = inputs.state.x, inputs.fields, model.dt, 4 / model.dx**2
     stencils = list(stencil(model, X))
-    n_nodes = len(model.layout.counts) * int(np.prod(model.grid_shape))
+    n_nodes = count_nodes(model, stencils)
     m, kept = (scattered(stencils, n_nodes, a * fields.mass) for a in (1.0, np.exp(-fields.damping * dt)))
     present = m.real > 0
     v = scattered(stencils, n_nodes, fields.mass[:, None] * inputs.state.v, fields.mass[:, None, None] * inputs.state.C)

@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.sparse.linalg import svds
 
 from cqrun.boundaries.solid import Solids, make_solids
-from cqrun.engine.model import Inputs, Model
+from cqrun.engine.model import Inputs, Lattice, Model
 from cqrun.engine.reference.movers import Movers, SurfaceBars, make_movers, zero_bars
 from cqrun.engine.reference.patches import make_patches
 from cqrun.engine.reference.points import riding_points
@@ -162,16 +162,18 @@ def growth_of(points: Points) -> float:
 
 
 def contact_square(
-    layout: Layout, X: Array, mass: Array, particle: Array, x: Array, stiffness: Array, dx: float, offset: Array
-) -> float:
+    layout: Layout, X: Array, mass: Array, particle: Array, x: Array, stiffness: Array, dx: float, offset: Array,
+    lattice: Lattice,
+) -> float:  # fmt: skip
     """Return the largest squared frequency that nodes have on the springs of their points alone [1/s^2].
 
     Args:
         layout: of the particles at rest at X (N, D) [m], with their masses (N,) [kg].
         particle, x, stiffness: of the points (S,), as in `SurfaceModel`.
         offset: of each body's grid from that of the world (B, D) [m].
+        lattice: of the particles.
     """
-    patches = make_patches(layout, X, dx, offset)
+    patches = make_patches(layout, X, dx, offset, lattice)
     columns, node_mass = patches.layout.columns(), np.zeros(patches.n_nodes)
     for begin in range(0, len(X), CHUNK):
         node, weight = stencil_weights(patches, columns[begin : begin + CHUNK])

@@ -26,10 +26,8 @@ def hats(rest: RestGeometry) -> Any:
         patches = rest.patches
         column = patches.layout.columns()
         dim, t = patches.f.shape[1], patches.f[column] - 0.5
-        corner, weight = patches.first[column][:, None], np.ones((len(column), 1))
+        corner, weight = patches.corners_of(column), np.ones((len(column), 1))
         for axis in range(dim):
-            step = np.arange(2) * patches.strides[axis + 3 - dim]
-            corner = (corner[:, :, None] + step).reshape(len(column), -1)
             each = np.stack([1.0 - t[:, axis], t[:, axis]], axis=1)
             weight = (weight[:, :, None] * each[:, None, :]).reshape(len(column), -1)
         particle = np.repeat(np.arange(len(column)), 2**dim)
@@ -44,8 +42,7 @@ def hat_slopes(rest: RestGeometry) -> list[Any]:
     column = patches.layout.columns()
     dim, t = patches.f.shape[1], patches.f[column] - 0.5
     each = np.stack([1.0 - t, t], axis=-1)  # (N, D, 2)
-    step, corner = np.indices((2,) * dim).reshape(dim, -1), patches.first[column][:, None]
-    corner = corner + step.T @ np.array(patches.strides[3 - dim :])
+    step, corner = np.indices((2,) * dim).reshape(dim, -1), patches.corners_of(column)
     particle, found = np.repeat(np.arange(len(column)), 2**dim), []
     for axis in range(dim):
         of_axis = each.copy()

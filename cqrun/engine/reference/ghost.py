@@ -67,12 +67,10 @@ class Runs(NamedTuple):
 
 def find_runs(patches: Patches, volume: Array, dx: float) -> Runs:
     """Return the runs for the volume sum_p w vol0 of every node (M,) [m^D]."""
-    dim, n = patches.f.shape[1], patches.n_nodes
+    dim = patches.f.shape[1]
     fill, found = volume / dx**dim, []
     for axis in range(dim):
-        place, steps = _along(patches, axis), patches.strides[axis + 3 - dim] * np.arange(4)
-        first = np.flatnonzero(place[: n - steps[-1]] + 3 == place[steps[-1] :])
-        run = first[:, None] + steps
+        run = _chains(patches, axis) if len(patches.table) else _rows(patches, axis)
         least = fill[run].min(axis=1)
         found.append(run[(least > 0) & (least < CUT)])
     run = np.concatenate(found)
@@ -80,15 +78,39 @@ def find_runs(patches: Patches, volume: Array, dx: float) -> Runs:
     return Runs(run.astype(np.int64), lightest, fill[lightest])
 
 
+def _rows(patches: Patches, axis: int) -> Array:
+    """Return all runs of four nodes along an axis in the boxes of the bodies (R, 4)."""
+    dim, n = patches.f.shape[1], patches.n_nodes
+    place, steps = _along(patches, axis), patches.strides[axis + 3 - dim] * np.arange(4)
+    first = np.flatnonzero(place[: n - steps[-1]] + 3 == place[steps[-1] :])
+    return np.asarray(first[:, None] + steps)
+
+
+def _chains(patches: Patches, axis: int) -> Array:
+    """Return the runs of four nodes along an axis of which neighbours share a stencil (R, 4).
+
+    So no run leads across a gap. A node beside the end of a gap may have two neighbours, one on each side.
+    """
+    table = patches.table.reshape(-1, *(3,) * patches.f.shape[1])
+    lower, upper = (np.take(table, part, axis=axis + 1).ravel() for part in ([0, 1], [1, 2]))
+    pairs = np.unique(np.stack([lower, upper], axis=1), axis=0)
+    chains = pairs
+    for _ in range(2):
+        begin, end = (np.searchsorted(pairs[:, 0], chains[:, -1], side) for side in ("left", "right"))
+        many = end - begin
+        within = np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)
+        following = pairs[np.repeat(begin, many) + within, 1]
+        chains = np.concatenate([np.repeat(chains, many, axis=0), following[:, None]], axis=1)
+    return chains
+
+
 def _along(patches: Patches, axis: int) -> Array:
     """Return a number for each node (M,) that grows by 1 along an axis in a body's box, and leaps between rows."""
     dim, pieces = patches.f.shape[1], []
-    for body in range(len(patches.origin)):
-        count = int(patches.begin[body + 1] - patches.begin[body])
-        shape = (count // int(np.prod(patches.box[1:])), *(int(b) for b in patches.box[1:]))
+    for body, shape in enumerate(patches.shapes()):
         index = np.indices(shape).reshape(dim, -1)
         others = np.ravel_multi_index(tuple(np.delete(index, axis, axis=0)), tuple(np.delete(shape, axis)))
-        pieces.append(index[axis] + 10 * (1 + max(shape)) * (others + body * count))
+        pieces.append(index[axis] + 10 * (1 + max(shape)) * (others + body * index.shape[1]))
     return np.concatenate(pieces)
 
 

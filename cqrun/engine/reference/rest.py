@@ -17,7 +17,7 @@ from cqrun.engine.reference.ghost import Runs, find_runs
 from cqrun.engine.reference.held import Held, held_nodes
 from cqrun.engine.reference.patches import Patches, make_patches
 from cqrun.engine.reference.setting import Points
-from cqrun.engine.transfer import Stencils, gather, gather_slopes, scatter_tile
+from cqrun.engine.transfer import SplitStencils, Stencils, gather, gather_slopes, scatter_tile
 from cqrun.numerics.compile import kernel
 from cqrun.numerics.packed import aligned, pack
 from cqrun.plugin.contract import Array
@@ -38,7 +38,7 @@ class RestGeometry:
 
     x: Array
     patches: Patches
-    stencils: Stencils
+    stencils: Stencils | SplitStencils
     rest: Array
     dx: float
     kept: dict[str, Any] = field(default_factory=dict)
@@ -96,7 +96,7 @@ class RestGeometry:
         return known[1]
 
     @property
-    def exact(self) -> Stencils:
+    def exact(self) -> Stencils | SplitStencils:
         """The stencils in float64."""
         return self.stencils if self.stencils.f.dtype == np.float64 else _stencils(self.patches, np.float64)
 
@@ -129,14 +129,10 @@ class RestGeometry:
 
 def stencil_weights(patches: Patches, columns: Array) -> tuple[Array, Array]:
     """Return the nodes of the stencils of kernel columns, and their weights, (P, 3^D) each."""
-    f, strides, dim = patches.f[columns], patches.strides, patches.f.shape[1]
-    each = _along(f)
-    node, weight = patches.first[columns][:, None], np.ones((len(columns), 1))
-    for axis in range(dim):
-        steps = np.arange(3) * strides[axis + 3 - dim]
-        node = (node[:, :, None] + steps).reshape(len(columns), 3 ** (axis + 1))
+    each, weight = _along(patches.f[columns]), np.ones((len(columns), 1))
+    for axis in range(patches.f.shape[1]):
         weight = (weight[:, :, None] * each[:, axis, None, :]).reshape(len(columns), 3 ** (axis + 1))
-    return node.astype(np.int64), weight
+    return patches.nodes_of(columns), weight
 
 
 def _along(f: Array) -> Array:
@@ -177,16 +173,18 @@ def rest_geometry(model: Model, x: Array) -> RestGeometry:
 
 
 def _make(model: Model, x: Array) -> RestGeometry:
-    patches = make_patches(model.layout, x, model.dx, model.offset)
+    patches = make_patches(model.layout, x, model.dx, model.offset, model.lattice)
     rest = pack(x[patches.layout.source].T, model.real)
     return RestGeometry(x.copy(), patches, _stencils(patches, model.real), rest, model.dx)
 
 
-def _stencils(patches: Patches, real: Any) -> Stencils:
+def _stencils(patches: Patches, real: Any) -> Stencils | SplitStencils:
     f = aligned((len(patches.first), 4), real)
     dim = patches.f.shape[1]
     f[:, :3] = 1.0
     f[:, 3 - dim : 3] = patches.f
+    if len(patches.table):
+        return SplitStencils(patches.row * patches.table.shape[1], f, patches.table.reshape(-1))
     return Stencils(patches.first.astype(np.int64), f)
 
 
@@ -195,7 +193,7 @@ def nodes_before(model: Model, x_before: Array, patches: Patches) -> Array:
 
     A node that no particle reached has the number of the nearest node of its body that one did.
     """
-    before = make_patches(model.layout, x_before, model.dx, model.offset)
+    before = make_patches(model.layout, x_before, model.dx, model.offset, model.lattice)
     node, weight = stencil_weights(before, before.layout.columns())
     reached = np.unique(node[weight > 0.0])
     X, X_before = patches.positions(model.dx), before.positions(model.dx)[reached]

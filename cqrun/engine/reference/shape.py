@@ -30,7 +30,7 @@ from cqrun.engine.reference.points import riding_points_vjp
 from cqrun.engine.reference.setting import TILE, NodeRun, NodeStep, Points, ShapeBars
 from cqrun.engine.reference.volume import Means, MeansBars
 from cqrun.engine.setting import Crew
-from cqrun.engine.transfer import Stencils, gather_slopes
+from cqrun.engine.transfer import Stencils, gather_slopes, node_of
 from cqrun.forces.pulled import Pulled
 from cqrun.numerics.compile import for_each, kernel, share
 from cqrun.numerics.lanes import LANE_BYTES
@@ -128,16 +128,17 @@ def add_hat_slopes(
 ) -> None:
     """Add the derivative by a particle's place of sum_c N_c (the numbers times U', b and b (J - 1) of the corner)."""
     means, bars = pair
-    ways, first = len(dims) - 1, stencils.first[p] - means.begin
+    ways, first = len(dims) - 1, stencils.first[p]
     x, y, z = stencils.f[p, 0] - 0.5, stencils.f[p, 1] - 0.5, stencils.f[p, 2] - 0.5
     for i in range(ways):
         of_x, slope_x = (abs(1.0 - i - x), 2.0 * i - 1.0) if ways == 2 else (1.0, 0.0)
         for j in range(2):
-            of_y, slope_y, at = abs(1.0 - j - y), 2.0 * j - 1.0, first + i * strides[0] + j * strides[1]
-            low, high = 0.0, 0.0
+            of_y, slope_y, low, high = abs(1.0 - j - y), 2.0 * j - 1.0, 0.0, 0.0
+            at = node_of(stencils, first, i, j, 0, strides) - means.begin
+            above = node_of(stencils, first, i, j, 1, strides) - means.begin
             for k, table in enumerate((means.pressure.each, bars.ratio.each, bars.product.each)):
                 low += numbers[k] * table[at]
-                high += numbers[k] * table[at + 1]
+                high += numbers[k] * table[above]
             middle = (1.0 - z) * low + z * high
             place[p, 0] += slope_x * of_y * middle
             place[p, 1] += of_x * slope_y * middle

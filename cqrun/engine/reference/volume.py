@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 from cqrun.engine.arrays import get_columns, load_F, load_matrix, store_F, store_matrix
 from cqrun.engine.reference.setting import TILE, NodeRun
 from cqrun.engine.setting import Crew
-from cqrun.engine.transfer import Stencils, gather, gather_both
+from cqrun.engine.transfer import Stencils, gather, gather_both, node_of
 from cqrun.materials.volume import total_curvature, total_slope, total_slope_vjp
 from cqrun.numerics.compile import barrier, for_each, for_one, kernel, own_symbols, share
 from cqrun.numerics.lanes import LANE_BYTES
@@ -81,14 +81,14 @@ def spread(corners: Array, begin: int, number: Array, stencils: Stencils, lo: in
     """Add the numbers of the particles lo .. hi to their corners, with the hats as weights."""
     strides, ways = run.setting.strides, len(run.setting.dims) - 1
     for p in range(lo, hi):
-        first = stencils.first[p] - begin
+        first = stencils.first[p]
         x, y, z = stencils.f[p, 0] - 0.5, stencils.f[p, 1] - 0.5, stencils.f[p, 2] - 0.5
         for i in range(ways):
             of_x = number[p - lo] * (abs(1.0 - i - x) if ways == 2 else 1.0)
             for j in range(2):
-                at, of_y = first + i * strides[0] + j * strides[1], of_x * abs(1.0 - j - y)
-                corners[at] += of_y * (1.0 - z)
-                corners[at + 1] += of_y * z
+                of_y = of_x * abs(1.0 - j - y)
+                corners[node_of(stencils, first, i, j, 0, strides) - begin] += of_y * (1.0 - z)
+                corners[node_of(stencils, first, i, j, 1, strides) - begin] += of_y * z
 
 
 @kernel
@@ -96,13 +96,14 @@ def collect(corners: Array, begin: int, number: Array, stencils: Stencils, lo: i
     """Write the sum over a particle's corners of N times their number, for the particles lo .. hi."""
     strides, ways = run.setting.strides, len(run.setting.dims) - 1
     for p in range(lo, hi):
-        first, total = stencils.first[p] - begin, 0.0
+        first, total = stencils.first[p], 0.0
         x, y, z = stencils.f[p, 0] - 0.5, stencils.f[p, 1] - 0.5, stencils.f[p, 2] - 0.5
         for i in range(ways):
             of_x = abs(1.0 - i - x) if ways == 2 else 1.0
             for j in range(2):
-                at, of_y = first + i * strides[0] + j * strides[1], of_x * abs(1.0 - j - y)
-                total += of_y * ((1.0 - z) * corners[at] + z * corners[at + 1])
+                low = corners[node_of(stencils, first, i, j, 0, strides) - begin]
+                high = corners[node_of(stencils, first, i, j, 1, strides) - begin]
+                total += of_x * abs(1.0 - j - y) * ((1.0 - z) * low + z * high)
         number[p - lo] = total
 
 

@@ -27,6 +27,7 @@ from cqrun.engine.reference.patches import Patches
 from cqrun.engine.reference.setting import NodeRun
 from cqrun.engine.setting import Crew, Drive
 from cqrun.engine.statics.volumes import MeanVolumes
+from cqrun.engine.transfer import node_of
 from cqrun.forces.force import is_unsymmetric
 from cqrun.numerics.compile import allocating_kernel
 from cqrun.plugin.contract import Array
@@ -300,8 +301,9 @@ def _prolongation(run: NodeRun, patches: Patches, free: Array) -> tuple[Any, Arr
     strides = (0, *inner.tolist()) if d == 2 else tuple(inner.tolist())
     first, odd = np.zeros(len(patches.first), np.int64), np.zeros((len(patches.first), 3), np.int64)
     shapes, begin = [], 0
-    for low, high in zip(patches.begin[:-1].tolist(), patches.begin[1:].tolist(), strict=True):
-        shapes.append(((high - low) // int(np.prod(box[1:])), *box[1:]))
+    for low, shape in zip(patches.begin[:-1].tolist(), patches.shapes(), strict=True):
+        high = low + int(np.prod(shape))
+        shapes.append(shape)
         own = np.flatnonzero((patches.first >= low) & (patches.first < high))
         at = np.unravel_index(patches.first[own] - low, shapes[-1])
         odd[own, 3 - d :] = np.stack(at, axis=1) % 2
@@ -310,6 +312,7 @@ def _prolongation(run: NodeRun, patches: Patches, free: Array) -> tuple[Any, Arr
     weights, coarse = _nested(shapes)
     moved = np.zeros(patches.n_nodes, bool)
     moved[run.nodes.active] = True
+    weights = sparse.csr_array(weights)[patches.in_boxes()]
     return sparse.diags_array((free & moved).astype(float)) @ weights, first, odd, strides, coarse
 
 
@@ -344,7 +347,7 @@ def add_coarse(
         for a in range(ways):
             for b in range(3):
                 for c in range(3):
-                    n = run.stencils.first[p] + a * setting.strides[0] + b * setting.strides[1] + c
+                    n = node_of(run.stencils, run.stencils.first[p], a, b, c, setting.strides)
                     weight = (w[0, a] if dim == 3 else 1.0) * w[1, b] * w[2, c] * 4.0 / setting.dx * free[n]
                     if weight == 0.0:
                         continue

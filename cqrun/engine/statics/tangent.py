@@ -22,7 +22,7 @@ from cqrun.engine.reference.fields import put_linear
 from cqrun.engine.reference.setting import TILE, NodeRun
 from cqrun.engine.reference.volume import average_each, collect_pressures, with_mean, with_mean_slope
 from cqrun.engine.setting import Crew, Group
-from cqrun.engine.transfer import gather, scatter_tile
+from cqrun.engine.transfer import gather, node_of, scatter_tile
 from cqrun.materials.stress import stress_slope, total_kirchhoff
 from cqrun.materials.term import zeros_like_rows
 from cqrun.numerics.compile import allocating_kernel, barrier, for_each, kernel, share, written
@@ -155,7 +155,7 @@ def add_blocks(run: NodeRun, A: Array, blocks: Array, lo: int, hi: int) -> None:
         for a in range(ways):
             for b in range(3):
                 for c in range(3):
-                    n = run.stencils.first[p] + a * setting.strides[0] + b * setting.strides[1] + c
+                    n = node_of(run.stencils, run.stencils.first[p], a, b, c, setting.strides)
                     weight = (w[0, a] if dim == 3 else 1.0) * w[1, b] * w[2, c] * 4.0 / setting.dx
                     d[0], d[1], d[2] = a - run.stencils.f[p, 0], b - run.stencils.f[p, 1], c - run.stencils.f[p, 2]
                     for i in range(dim):
