@@ -4,8 +4,8 @@ scikit-fem gives the mesh, the basis functions and the quadrature (T. Gustafsson
 5 (2020) 2369). It is pure Python on NumPy and SciPy, so it installs wherever cqrun does; sfepy needs a compiler. The
 law, the pressure that follows its face, and Newton's method are below, and nothing of them is shared with cqrun.
 
-Neo-Hookean: P = mu (F - F^-T) + lam ln J F^-T. Fibres along an axis a: P += k/2 (|F a|^2 - 1) (F a) a^T. Pressure p on
-a face with the normal N out of the body at rest: force -p J F^-T N per area at rest.
+Neo-Hookean: P = mu (F - F^-T) + lam ln J F^-T. Fibres along an axis a: P += k/2 <|F a|^2 - 1> (F a) a^T, where <x> is
+0 for x < 0. Pressure p on a face with the normal N out of the body at rest: force -p J F^-T N per area at rest.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class SoftBody:
         solid, hollow: boxes of material, and of cavities in it [m].
         size: of elements [m].
         youngs_modulus, poissons_ratio: of the law.
-        fibres: (boxes, axis, stiffness [Pa]) of each family.
+        fibres: (boxes, axis, stiffness [Pa]) of each family; they pull, and do not push.
     """
 
     solid: Sequence[Box]
@@ -145,9 +145,10 @@ class SoftBody:
         A = A - (lam * log - mu) * np.einsum("kjeq,lieq->ikjleq", Finv, Finv)
         for where, axis, k in self.stiff:
             f, stretch = F[:, axis], np.einsum("ieq,ieq->eq", F[:, axis], F[:, axis]) - 1.0
-            P[:, axis] += 0.5 * k * where * stretch * f
-            A[:, axis, :, axis] += k * where * np.einsum("ieq,jeq->ijeq", f, f)
-            A[:, axis, :, axis] += 0.5 * k * where * stretch * one[:, :, None, None]
+            pulls = k * where * (stretch > 0.0)  # fibres that are shorter than at rest do nothing
+            P[:, axis] += 0.5 * pulls * stretch * f
+            A[:, axis, :, axis] += pulls * np.einsum("ieq,jeq->ijeq", f, f)
+            A[:, axis, :, axis] += 0.5 * pulls * stretch * one[:, :, None, None]
         return P, A
 
     def press(self, u: Array, pressure: float) -> tuple[Array, Array]:

@@ -36,13 +36,14 @@ class Controller(Plugin):
 
     `bounded`: it returns numbers in [-1, 1], not activations. `closed_loop`: it uses observations. `unit_inputs`: its
     initial parameters are meant for observations of about 1. `initial_fields`: fields that only set the initial
-    parameters.
+    parameters. `learned`: it has parameters. One without acts also in an equilibrium that a run starts from.
     """
 
     bounded: ClassVar[bool] = True
     closed_loop: ClassVar[bool] = True
     unit_inputs: ClassVar[bool] = False
     initial_fields: ClassVar[tuple[str, ...]] = ()
+    learned: ClassVar[bool] = True
 
     @abstractmethod
     def blocks(

@@ -53,7 +53,8 @@ class OpenLoop(Controller):
 
     def act(self, parameters: Mapping[str, Array], z: Array, control: int, time: float) -> Array:
         knots = parameters["knots"]
-        return np.asarray(sum(weight * knots[k] for k, weight in self._weights(len(knots), control)))
+        at = knots_at(len(knots), control, self.every, self.interpolate)
+        return np.asarray(sum(weight * knots[k] for k, weight in at))
 
     def act_vjp(
         self,
@@ -64,13 +65,14 @@ class OpenLoop(Controller):
         u_bar: Array,
         out: dict[str, Array],
     ) -> Array:
-        for k, weight in self._weights(len(out["knots"]), control):
+        for k, weight in knots_at(len(out["knots"]), control, self.every, self.interpolate):
             out["knots"][k] += weight * u_bar
         return np.zeros(len(z))
 
-    def _weights(self, n_knots: int, control: int) -> list[tuple[int, float]]:
-        """Return the knots that act at a control step, with their weights."""
-        k, past = divmod(control, self.every)
-        if self.interpolate == "hold" or past == 0 or k + 1 >= n_knots:
-            return [(min(k, n_knots - 1), 1.0)]
-        return [(k, 1.0 - past / self.every), (k + 1, past / self.every)]
+
+def knots_at(n_knots: int, control: int, every: int, interpolate: str) -> list[tuple[int, float]]:
+    """Return the knots that act at a control step, with their weights; the last knot is held."""
+    k, past = divmod(control, every)
+    if interpolate == "hold" or past == 0 or k + 1 >= n_knots:
+        return [(min(k, n_knots - 1), 1.0)]
+    return [(k, 1.0 - past / every), (k + 1, past / every)]

@@ -254,6 +254,9 @@ class Agent:
         )
         inputs = self.built.assembly.inputs({p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
         inputs.state.memory = policy.memory.copy()
+        if not self.controller.learned and self.model.settled:
+            first = self.controller.act(parameters, np.zeros(0), 0, 0.0)
+            inputs.activation[0] = policy.activate(first, np.zeros(0), policy.memory)[0]
         return make_rollout(model or self.model, inputs, threads=threads, adjoint=adjoint, policy=policy)
 
     def track(

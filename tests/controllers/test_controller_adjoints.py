@@ -17,6 +17,7 @@ LOW, HIGH = np.array([0.0, -1.0, -2.0]), np.array([1.0, 1.0, 0.5])
 
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "open_loop": [{}, {"every": 3, "noise": 0.5}, {"every": 3, "interpolate": "linear", "initial": 0.2, "noise": 0.1}],
+    "given": [{"knots": [[0.2, -0.5, 0.1], [1.0, 1.0, 0.5]], "every": 3, "interpolate": "linear"}],
     "linear_tanh": [{}, {"gain": 0.7, "spread": 0.5}],
     "sinusoid": [
         {"frequency": 2.0, "spread": 0.4},

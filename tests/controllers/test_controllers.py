@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from cqrun.controllers.given import Given
 from cqrun.controllers.linear_tanh import LinearTanh
 from cqrun.controllers.mlp import Mlp
 from cqrun.controllers.open_loop import OpenLoop
@@ -92,6 +93,26 @@ def test_open_loop_starts_in_range(rng):
     assert noisy.std() > 0.1
     with pytest.raises(UsageError, match=r"starts at 1.5, which is out of an actuator's range.*0 to 1"):
         blocks_of(OpenLoop(initial=1.5), rng)
+
+
+@pytest.mark.parametrize(("interpolate", "wanted"), [("hold", [0, 0, 1, 1, 1]), ("linear", [0, 0.5, 1, 1, 1])])
+def test_given_plays_its_knots_and_has_no_parameters(rng, interpolate, wanted):
+    controller = Given(knots=[[0.0, -1.0], [1.0, 1.0]], every=2, interpolate=interpolate)
+    assert blocks_of(controller, rng) == {}
+    played = np.array([controller.act({}, NO_INPUT, c, 0.0) for c in (0, 1, 2, 3, 100)])
+    np.testing.assert_array_equal(played, np.outer(wanted, [1, 2]) + [0, -1])
+
+
+@pytest.mark.parametrize(
+    ("knots", "said"),
+    [
+        ([[0.5]], r"knots.0 has 1 activation, and there are 2 to drive"),
+        ([[0, 0], [0.5, 2.0]], r"knots.1 is \[0.5, 2.0\], which is out of an actuator's range"),
+    ],
+)
+def test_given_fits_the_actuators(rng, knots, said):
+    with pytest.raises(UsageError, match=said):
+        blocks_of(Given(knots=knots), rng)
 
 
 def test_linear_tanh_is_the_controller_of_cq1(rng):

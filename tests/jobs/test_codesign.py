@@ -286,6 +286,18 @@ def test_control_honours_constraints_too(finger, tmp_path):
     assert result_of(run)["constraints"]["tip"]["violation"] <= 1e-8
 
 
+def test_a_body_alone_is_designed_if_its_activations_are_given(finger, tmp_path):
+    """The stiffness that brings the tip nearest to its goal with one muscle, and the replay of what was found."""
+    given = ["controller={given: {knots: [[1, 0]]}}", "constraints={}", "optimizer={adam: {max_iterations: 3}}"]
+    goal = ["objective={tip: {reach: {body: finger, group: tip, goal: target}}}", "goals.target.spread=null"]
+    run = learn(finger, tmp_path, *given, *goal, "episodes.unseen=0")
+    result = result_of(run)
+    assert set(result["unknowns"]) == {STIFFNESS}
+    assert result["loss"] < read_history(run / "history.csv")["loss"][0]
+    replay = result_of(run_simulate(run, [], tmp_path / "replay", threads=1))
+    assert replay["loss"] == result["loss"]
+
+
 def test_validate_tells_the_constraints(finger):
     text = "\n".join(validate(finger))
     assert "constraint tip (reach): at most 0.018, with a tolerance of 1e-08" in text

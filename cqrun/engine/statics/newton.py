@@ -72,7 +72,7 @@ class Rest:
         negative: whether the stiffness matrix had a negative eigenvalue on the way to, or at, the answer.
         smallest: smallest eigenvalue of the preconditioned matrix that the last step saw; zero at a limit point.
         stuck: whether no step made the residual smaller.
-        troubled: whether any step met negative curvature or had to be shortened.
+        troubled: whether any step met negative curvature. (Slender bodies shorten steps on a straight way as well.)
         rounded: whether rounding ended the search above the tolerance.
     """
 
@@ -111,7 +111,7 @@ def find_rest(
         smallest = found.smallest if np.isfinite(found.smallest) else smallest
         before = size
         u, r, size, part = _step(system, u, r, size, found.x)
-        stuck, troubled = part == 0.0, troubled or negative or part < 1.0
+        stuck, troubled = part == 0.0, troubled or negative
         eta = min(LOOSEST, FORCING * (size / before) ** 2)
         in_vain = 0 if size <= 0.5 * best else in_vain + 1
         best = min(best, size)
