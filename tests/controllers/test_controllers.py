@@ -100,7 +100,7 @@ def test_given_plays_its_knots_and_has_no_parameters(rng, interpolate, wanted):
     controller = Given(knots=[[0.0, -1.0], [1.0, 1.0]], every=2, interpolate=interpolate)
     assert blocks_of(controller, rng) == {}
     played = np.array([controller.act({}, NO_INPUT, c, 0.0) for c in (0, 1, 2, 3, 100)])
-    np.testing.assert_array_equal(played, np.outer(wanted, [1, 2]) + [0, -1])
+    np.testing.assert_array_equal(played, np.outer(wanted, [1, 2]) + np.array([0, -1]))
 
 
 @pytest.mark.parametrize(
