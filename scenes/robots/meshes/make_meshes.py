@@ -89,12 +89,5 @@ def write_stl(path: Path, triangles: np.ndarray) -> None:
     path.write_bytes(f"cqrun {path.stem}, CC0".encode().ljust(80) + np.uint32(len(record)).tobytes() + record.tobytes())
 
 
-MESHES = {
-    "pneunet": pneunet(),
-    "finger": pneunet(5, 93.0, 21.0, 21.0, wall=3.0, layer=3.0, gap=3.0, channel=(3.0, 3.0), root=6.0),
-}
-"""Name of a file -> its boxes [mm]."""
-
 if __name__ == "__main__":
-    for name, boxes in MESHES.items():
-        write_stl(HERE / f"{name}.stl", surface(*boxes))
+    write_stl(HERE / "pneunet.stl", surface(*pneunet()))
