@@ -24,7 +24,7 @@ def layers(model: Model, X: Array) -> dict[Offset, Array]:
     if model.lattice is None:
         return found
     for part, spacing in zip(model.layout.slices(), model.lattice.spacing, strict=True):
-        own = np.arange(part.start, part.stop)
+        own = np.arange(part.start, part.stop) if spacing > 0.0 else np.zeros(0, int)
         for place in {tuple(base[p] + np.array(offset)) for p in own for offset in found}:
             near = [p for p in own if ((place - base[p] >= 0) & (place - base[p] <= 2)).all()]
             for layer, piece in enumerate(pieces(near, model.lattice.x, 1.75 * spacing)):
