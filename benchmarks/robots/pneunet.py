@@ -1,8 +1,8 @@
 """Bend angle against pressure of scenes/robots/pneunet.yaml: finite elements, and cqrun on three grids.
 
-    python -m benchmarks.robots.pneunet [--only fem coarse middle fine] [--threads N] [--out FILE]
+    python -m benchmarks.robots.pneunet [--only fem coarse middle fine] [--pressures PA PA ...] [--threads N] [--out FILE]
 
-`fem` and `fem_coarse` are finite elements of second order on two meshes (finite_elements.py): their difference tells
+Pressures are those of the scene if none are given. `fem` and `fem_coarse` are finite elements of second order on two meshes (finite_elements.py): their difference tells
 how exact they are. The grids run the scene itself. Each part is written when it is done, and a part that is in the file
 is not computed again.
 """
@@ -38,9 +38,6 @@ ELEMENTS = {"fem_coarse": 0.004, "fem": 0.002}
 GRIDS = {"coarse": 0.0013333333, "middle": 0.001, "fine": 0.0006666667}
 """Name -> cell [m]; particles are half a cell apart."""
 
-FEWER = ["path.actuators.air.chamber.pressure.first=600", "path.actuators.air.chamber.pressure.points=5"]
-"""Every other pressure, on the finest grid."""
-
 MM, HALF_WIDTH = 1e-3, 10.0
 
 
@@ -54,8 +51,8 @@ def pressures_of(scene: Scene) -> list[float]:
     return values_of(scene.path["actuators.air.chamber.pressure"])
 
 
-def finite_elements(size: float) -> dict[str, Any]:
-    """Return what finite elements say at the pressures of the scene's path."""
+def finite_elements(size: float, pressures: list[float]) -> dict[str, Any]:
+    """Return what finite elements say at some pressures [Pa]."""
     scene = load_scene(SCENE)
     material: Any = scene.bodies["actuator"].material
     fibre: Any = scene.bodies["actuator"].material_of["layer"].terms["fibre"]
@@ -67,7 +64,6 @@ def finite_elements(size: float) -> dict[str, Any]:
         [*solid, *thin], hollow, size, law.youngs_modulus, law.poissons_ratio,
         [(thin, 0, fibre.stiffness), (thin, 1, fibre.stiffness)],
     )  # fmt: skip
-    pressures = pressures_of(scene)
     begin = time.perf_counter()
     found = body.solve(pressures, lambda line: print(line, flush=True))
     tip: list[Box] = [((0.098, 0, 0), (0.1, 0.01, 0.02))]
@@ -80,9 +76,10 @@ def finite_elements(size: float) -> dict[str, Any]:
     }
 
 
-def on_grid(dx: float, threads: int | None, runs: Path) -> dict[str, Any]:
-    """Return what the scene says on cells of dx [m]."""
-    overrides = [f"world.dx={dx!r}", f"bodies.actuator.spacing={dx / 2!r}", *(FEWER if dx == GRIDS["fine"] else [])]
+def on_grid(dx: float, pressures: list[float], threads: int | None, runs: Path) -> dict[str, Any]:
+    """Return what the scene says on cells of dx [m] at some pressures [Pa]."""
+    path = f"path.actuators.air.chamber.pressure={pressures}"
+    overrides = [f"world.dx={dx!r}", f"bodies.actuator.spacing={dx / 2!r}", path]
     begin = time.perf_counter()
     run = REST.run(SCENE, overrides, runs, threads=threads)
     measured = read_trajectory(run / "trajectory.h5").measured
@@ -91,7 +88,7 @@ def on_grid(dx: float, threads: int | None, runs: Path) -> dict[str, Any]:
     return {
         "dx": dx,
         "particles": len(read_trajectory(run / "trajectory.h5").fields["x"][0]),
-        "pressure": pressures_of(load_scene(SCENE, overrides)),
+        "pressure": pressures,
         "angle": angle.tolist(),
         "volume": volume.tolist(),
         "seconds": time.perf_counter() - begin,
@@ -104,6 +101,7 @@ def main() -> None:
     """Compute the parts that are missing, and write the file after each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="+", choices=[*ELEMENTS, *GRIDS], default=[*ELEMENTS, *GRIDS])
+    parser.add_argument("--pressures", nargs="+", type=float, default=pressures_of(load_scene(SCENE)))
     parser.add_argument("--threads", type=int, default=None)
     parser.add_argument("--runs", type=Path, default=Path("results") / "pneunet")
     parser.add_argument("--out", type=Path, default=OUT)
@@ -113,7 +111,9 @@ def main() -> None:
         if name not in result:
             size = ELEMENTS.get(name)
             result[name] = (
-                on_grid(GRIDS[name], options.threads, options.runs) if size is None else finite_elements(size)
+                on_grid(GRIDS[name], options.pressures, options.threads, options.runs)
+                if size is None
+                else finite_elements(size, options.pressures)
             )
             write_json(options.out, result)
         angles = ", ".join(f"{np.degrees(angle):.2f}" for angle in result[name]["angle"])
