@@ -1,10 +1,10 @@
 """Bend angle against pressure of scenes/robots/pneunet.yaml: finite elements, and cqrun on three grids.
 
-    python -m benchmarks.robots.pneunet [--only fem coarse middle fine] [--pressures PA PA ...] [--threads N] [--out FILE]
+    python -m benchmarks.robots.pneunet [--only fem coarse ...] [--pressures PA PA ...] [--threads N] [--out FILE]
 
-Pressures are those of the scene if none are given. `fem` and `fem_coarse` are finite elements of second order on two meshes (finite_elements.py): their difference tells
-how exact they are. The grids run the scene itself. Each part is written when it is done, and a part that is in the file
-is not computed again.
+`fem` and `fem_coarse` are finite elements of second order on two meshes (finite_elements.py): their difference tells
+how exact they are. The grids run the scene itself. Pressures are those of the scene if none are given. Each part is
+written when it is done, and a part that is in the file is not computed again.
 """
 
 from __future__ import annotations
