@@ -17,7 +17,7 @@ import numpy as np
 from cqrun.boundaries.condition import FACES
 from cqrun.build.particles import Particles
 from cqrun.build.regions import resolved
-from cqrun.engine.model import Lattice
+from cqrun.engine.lattice import Lattice
 from cqrun.errors import Problem
 from cqrun.geometry.box import Box
 from cqrun.geometry.combinations import RegionUnion

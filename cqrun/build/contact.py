@@ -21,7 +21,8 @@ from cqrun.build.particles import Particles
 from cqrun.build.regions import boundary
 from cqrun.build.rigid import rigid_models, rigid_overlaps
 from cqrun.build.surfaces import BodySurface, is_obstacle, surface_of, touches
-from cqrun.engine.model import ConditionModel, Lattice
+from cqrun.engine.lattice import Lattice
+from cqrun.engine.model import ConditionModel
 from cqrun.engine.reference.contact import contact_square, in_3d
 from cqrun.engine.reference.poses import first_poses
 from cqrun.engine.rigid_model import RigidModel

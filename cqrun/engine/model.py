@@ -9,12 +9,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
+from cqrun.engine.lattice import Lattice
 from cqrun.engine.probe import make_probe
 from cqrun.engine.rigid_model import NUMBERS, ROWS, RigidModel, count_free
 from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
@@ -92,17 +93,6 @@ class ConditionModel:
         n = self.normal
         view = self.spec.kernel_condition(n if isinstance(n, tuple) else NodeNormals(n, (0,) * n.shape[1]))
         return view._replace(coefficient=float(coefficient))
-
-
-class Lattice(NamedTuple):
-    """Where neighbours are, from which gaps in a body are known.
-
-    `x` (N, D) are the positions of all particles on their lattices [m], whatever shape they take later. `spacing` (B,)
-    is the distance between neighbours in each body [m], 0 for those that are not on one lattice.
-    """
-
-    x: Array
-    spacing: Array
 
 
 @dataclass(frozen=True)

@@ -13,25 +13,22 @@ so that the last axis is entry 2 in both dimensions. A substep's adjoint scatter
 weights and nodes are the same: there each node has two records, one after the other (`Work.both`).
 
 Arrays of records: `value` (n, 4) has a_p - B_p f_p, `affine` (3 n, 4) the columns of B_p, axis by axis, and `place`
-(n, 4) the position in cells. Particles whose stencils do not change have `Stencils` in place of positions.
+(n, 4) the position in cells. Particles whose stencils do not change have those in place of positions (stencils.py).
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
-from numba.core import types
-from numba.extending import overload
-
-from cqrun.numerics.compile import kernel, own_symbols, written
-from cqrun.numerics.lanes import floor, lane
-from cqrun.numerics.records import load4, store4, whole_lane
+from cqrun.engine.stencils import Stencils, node_of, pairs_at, records_at, stencil, stencils
+from cqrun.numerics.compile import kernel
+from cqrun.numerics.lanes import lane
+from cqrun.numerics.records import load4, store4
 from cqrun.numerics.wide_records import (
     filled,
     load_each,
     load_neighbours,
     load_pairs,
-    load_records,
     load_wide,
     prefetch_each,
     records_in_lane,
@@ -46,28 +43,6 @@ AHEAD = 16
 """How many particles ahead `scatter` prefetches: the particles of a colour's blocks are far apart in memory."""
 
 
-class Stencils(NamedTuple):
-    """The stencils of particles that never change: the first node of each (n,), and f as a record (n, 4)."""
-
-    first: Array
-    f: Array
-
-
-class SplitStencils(NamedTuple):
-    """Stencils whose nodes are in a table: where the 3^D of each particle begin (n,), and f. See reference/split.py."""
-
-    first: Array
-    f: Array
-    table: Array
-
-
-own_symbols(Stencils)
-own_symbols(SplitStencils)
-
-FIXED = (Stencils, SplitStencils)
-"""Stencils that never change."""
-
-
 @kernel
 def weights(f: Any) -> Any:
     """Return the spline's three weights at f."""
@@ -79,99 +54,6 @@ def weights(f: Any) -> Any:
 def slopes(f: Any) -> Any:
     """Return the derivatives of the three weights by f."""
     return f - 1.5, 2.0 - 2.0 * f, f - 0.5
-
-
-def first_nodes(base: Any, strides: Any) -> Any:
-    """Return the node number of each record (i, j, k, -) as a tuple."""
-    i, j, k = (base[axis::4].astype(int) for axis in range(3))
-    return tuple(i * strides[0] + j * strides[1] + k)
-
-
-@overload(first_nodes)
-def _first_nodes(base, strides):
-    nodes = [
-        f"int(lane(base, {at})) * strides[0] + int(lane(base, {at + 1})) * strides[1] + int(lane(base, {at + 2}))"
-        for at in range(0, base.width, 4)
-    ]
-    return written(f"lambda base, strides: ({', '.join(nodes)},)", {"lane": lane})
-
-
-@kernel
-def stencil_at(place: Array, p: int, strides: Any) -> Any:
-    """Return the first node of the stencil at a position, and f."""
-    x = load4(place, p)
-    base = floor(x - 0.5)
-    return first_nodes(base, strides)[0], x - base
-
-
-def stencil(place: Any, p: int, strides: Any) -> Any:
-    """Return the first node of a particle's stencil, and f."""
-    return (int(place.first[p]), place.f[p].copy()) if isinstance(place, FIXED) else stencil_at(place, p, strides)
-
-
-def _never_changes(place: Any) -> bool:
-    """Return whether a Numba type is that of stencils that never change."""
-    return isinstance(place, types.NamedTuple) and place.instance_class in FIXED
-
-
-def _has_table(place: Any) -> bool:
-    """Return whether a Numba type is that of `SplitStencils`."""
-    return isinstance(place, types.NamedTuple) and place.instance_class is SplitStencils
-
-
-def node_of(place: Any, first: int, i: int, j: int, k: int, strides: Any) -> Any:
-    """Return node (i, j, k) of the stencil that begins at `first`."""
-    if isinstance(place, SplitStencils):
-        return int(place.table[first + 9 * i + 3 * j + k])
-    return first + i * strides[0] + j * strides[1] + k
-
-
-@overload(node_of)
-def _node_of(place, first, i, j, k, strides):
-    if _has_table(place):
-        return lambda place, first, i, j, k, strides: place.table[first + 9 * i + 3 * j + k]
-    return lambda place, first, i, j, k, strides: first + i * strides[0] + j * strides[1] + k
-
-
-def records_at(grid: Array, place: Any, nodes: Any, i: int, j: int, k: int, strides: Any) -> Any:
-    """Return the records of nodes (i, j, k) of the stencils that begin at `nodes`, in one lane value."""
-    return load_records(grid, tuple(node_of(place, first, i, j, k, strides) for first in nodes), 0)
-
-
-@overload(records_at)
-def _records_at(grid, place, nodes, i, j, k, strides):
-    if not _has_table(place):
-        return lambda grid, place, nodes, i, j, k, strides: load_records(
-            grid, nodes, i * strides[0] + j * strides[1] + k
-        )
-    return written(_by_table("load_records", len(nodes)), {"load_records": load_records})
-
-
-def pairs_at(pairs: Array, place: Any, nodes: Any, i: int, j: int, k: int, strides: Any) -> Any:
-    """Return the first and the second records of pairs at nodes (i, j, k) of the stencils that begin at `nodes`."""
-    return load_pairs(pairs, tuple(node_of(place, first, i, j, k, strides) for first in nodes), 0)
-
-
-@overload(pairs_at)
-def _pairs_at(pairs, place, nodes, i, j, k, strides):
-    if not _has_table(place):
-        return lambda pairs, place, nodes, i, j, k, strides: load_pairs(
-            pairs, nodes, i * strides[0] + j * strides[1] + k
-        )
-    return written(_by_table("load_pairs", len(nodes)).replace("grid", "pairs"), {"load_pairs": load_pairs})
-
-
-def _by_table(load: str, count: int) -> str:
-    """Return the source of a load of the nodes that a table gives."""
-    nodes = ", ".join(f"place.table[nodes[{n}] + 9 * i + 3 * j + k]" for n in range(count))
-    return f"lambda grid, place, nodes, i, j, k, strides: {load}(grid, ({nodes},), 0)"
-
-
-@overload(stencil)
-def _stencil(place, p, strides):
-    if _never_changes(place):
-        return lambda place, p, strides: (place.first[p], load4(place.f, p))
-    return lambda place, p, strides: stencil_at(place, p, strides)
 
 
 @kernel
@@ -236,32 +118,6 @@ def spread_out(
             store_wide(grid, node, load_wide(grid, node, a) + (a_j * w1 + c1) * w)
             node = node_of(place, first, i, j, 2, strides)
             store_wide(grid, node, load_wide(grid, node, a) + (a_j * w2 + c2) * w)
-
-
-@kernel
-def stencils_at(place: Array, p: int, strides: Any) -> Any:
-    """Return the first nodes of the stencils at the positions of particles p, p + 1, ... of a lane value, and f's."""
-    x = load_neighbours(place, p)
-    base = floor(x - 0.5)
-    return first_nodes(base, strides), x - base
-
-
-def stencils(place: Any, p: int, strides: Any) -> Any:
-    """Return the first nodes of the stencils of particles p, p + 1, ... of a lane value, and their f's."""
-    if not isinstance(place, FIXED):
-        return stencils_at(place, p, strides)
-    return tuple(place.first[p : p + records_in_lane(place.f)]), load_neighbours(place.f, p)
-
-
-@overload(stencils)
-def _stencils(place, p, strides):
-    if not _never_changes(place):
-        return lambda place, p, strides: stencils_at(place, p, strides)
-    per_value = whole_lane(place.types[place.fields.index("f")].dtype).width // 4
-    first = ", ".join(f"place.first[p + {k}]" for k in range(per_value))
-    return written(
-        f"lambda place, p, strides: (({first},), load_neighbours(place.f, p))", {"load_neighbours": load_neighbours}
-    )
 
 
 @kernel

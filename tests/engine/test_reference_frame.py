@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from cqrun.boundaries.slip import Slip
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.frames import make_rollout
-from cqrun.engine.model import GroupModel, Lattice, LossBar, Records
+from cqrun.engine.lattice import Lattice
+from cqrun.engine.model import GroupModel, LossBar, Records
 from cqrun.engine.reference.ghost import THIRD
 from cqrun.engine.reference.moves import rotation_matrix
 from cqrun.engine.reference.stretch import LEAST

@@ -12,7 +12,8 @@ from test_reference_frame import SHEAR
 
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.frames import make_rollout
-from cqrun.engine.model import GroupModel, Lattice
+from cqrun.engine.lattice import Lattice
+from cqrun.engine.model import GroupModel
 from cqrun.engine.reference.patches import make_patches
 from cqrun.engine.statics.equilibrium import Equilibrium
 

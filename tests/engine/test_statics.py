@@ -13,7 +13,8 @@ from test_reference_frame import ELASTIC, SHEAR
 from cqrun.actuators import cable, tension
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.frames import make_rollout
-from cqrun.engine.model import GroupModel, Lattice, LossBar, Records
+from cqrun.engine.lattice import Lattice
+from cqrun.engine.model import GroupModel, LossBar, Records
 from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.krylov import conjugate_gradients, dot

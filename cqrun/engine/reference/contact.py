@@ -9,7 +9,8 @@ from scipy import sparse
 from scipy.sparse.linalg import svds
 
 from cqrun.boundaries.solid import Solids, make_solids
-from cqrun.engine.model import Inputs, Lattice, Model
+from cqrun.engine.lattice import Lattice
+from cqrun.engine.model import Inputs, Model
 from cqrun.engine.reference.movers import Movers, SurfaceBars, make_movers, zero_bars
 from cqrun.engine.reference.patches import make_patches
 from cqrun.engine.reference.points import riding_points

@@ -6,7 +6,7 @@ from typing import Any
 
 from cqrun.engine.arrays import get_place, put_columns, put_vector
 from cqrun.engine.reference.setting import TILE
-from cqrun.engine.transfer import Stencils
+from cqrun.engine.stencils import Stencils
 from cqrun.numerics.compile import kernel
 from cqrun.numerics.tensor import matvec, scale, sub
 from cqrun.plugin.contract import Array

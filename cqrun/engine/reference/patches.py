@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cqrun.engine.blocks import BLOCK
-from cqrun.engine.model import Lattice
+from cqrun.engine.lattice import Lattice
 from cqrun.engine.reference.split import Split, split_nodes
 from cqrun.engine.setting import MARGIN
 from cqrun.plugin.contract import Array

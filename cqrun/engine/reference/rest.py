@@ -17,7 +17,8 @@ from cqrun.engine.reference.ghost import Runs, find_runs
 from cqrun.engine.reference.held import Held, held_nodes
 from cqrun.engine.reference.patches import Patches, make_patches
 from cqrun.engine.reference.setting import Points
-from cqrun.engine.transfer import SplitStencils, Stencils, gather, gather_slopes, scatter_tile
+from cqrun.engine.stencils import SplitStencils, Stencils
+from cqrun.engine.transfer import gather, gather_slopes, scatter_tile
 from cqrun.numerics.compile import kernel
 from cqrun.numerics.packed import aligned, pack
 from cqrun.plugin.contract import Array

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from cqrun.engine.transfer import Stencils
+from cqrun.engine.stencils import Stencils
 from cqrun.forces.pulled import Pulled
 from cqrun.numerics.compile import own_symbols
 from cqrun.plugin.contract import Array

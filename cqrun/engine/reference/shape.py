@@ -30,7 +30,8 @@ from cqrun.engine.reference.points import riding_points_vjp
 from cqrun.engine.reference.setting import TILE, NodeRun, NodeStep, Points, ShapeBars
 from cqrun.engine.reference.volume import Means, MeansBars
 from cqrun.engine.setting import Crew
-from cqrun.engine.transfer import Stencils, gather_slopes, node_of
+from cqrun.engine.stencils import Stencils, node_of
+from cqrun.engine.transfer import gather_slopes
 from cqrun.forces.pulled import Pulled
 from cqrun.numerics.compile import for_each, kernel, share
 from cqrun.numerics.lanes import LANE_BYTES

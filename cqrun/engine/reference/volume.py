@@ -28,7 +28,8 @@ from typing import Any, NamedTuple
 from cqrun.engine.arrays import get_columns, load_F, load_matrix, store_F, store_matrix
 from cqrun.engine.reference.setting import TILE, NodeRun
 from cqrun.engine.setting import Crew
-from cqrun.engine.transfer import Stencils, gather, gather_both, node_of
+from cqrun.engine.stencils import Stencils, node_of
+from cqrun.engine.transfer import gather, gather_both
 from cqrun.materials.volume import total_curvature, total_slope, total_slope_vjp
 from cqrun.numerics.compile import barrier, for_each, for_one, kernel, own_symbols, share
 from cqrun.numerics.lanes import LANE_BYTES

@@ -27,7 +27,7 @@ from cqrun.engine.reference.patches import Patches
 from cqrun.engine.reference.setting import NodeRun
 from cqrun.engine.setting import Crew, Drive
 from cqrun.engine.statics.volumes import MeanVolumes
-from cqrun.engine.transfer import node_of
+from cqrun.engine.stencils import node_of
 from cqrun.forces.force import is_unsymmetric
 from cqrun.numerics.compile import allocating_kernel
 from cqrun.plugin.contract import Array

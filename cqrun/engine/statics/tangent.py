@@ -22,7 +22,8 @@ from cqrun.engine.reference.fields import put_linear
 from cqrun.engine.reference.setting import TILE, NodeRun
 from cqrun.engine.reference.volume import average_each, collect_pressures, with_mean, with_mean_slope
 from cqrun.engine.setting import Crew, Group
-from cqrun.engine.transfer import gather, node_of, scatter_tile
+from cqrun.engine.stencils import node_of
+from cqrun.engine.transfer import gather, scatter_tile
 from cqrun.materials.stress import stress_slope, total_kirchhoff
 from cqrun.materials.term import zeros_like_rows
 from cqrun.numerics.compile import allocating_kernel, barrier, for_each, kernel, share, written
