@@ -13,7 +13,8 @@ PYTEST := NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 PARALLEL := -n 2 --dist loadfile
 
 # These tests compile most kernels, whose code stays in the memory of their processes: they have processes of their own.
-KERNELS := $(addprefix tests/,actuators benchmarks boundaries engine materials numerics)
+ENGINE := tests/engine
+KERNELS := $(addprefix tests/,actuators benchmarks boundaries materials numerics)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup lint types pytest test test-nojit test-slow test-rl test-render docs bench profile demo reproduce-figures clean-cache clean
@@ -42,8 +43,9 @@ test: lint types pytest ## run ruff, mypy and the fast tests
 
 pytest: $(READY) ## run the fast tests alone
 	status=0; \
+	$(PYTEST) $(PARALLEL) $(ENGINE) || status=1; \
 	$(PYTEST) $(PARALLEL) $(KERNELS) || status=1; \
-	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(KERNELS)) || status=1; \
+	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ENGINE) $(KERNELS)) || status=1; \
 	exit $$status
 
 test-nojit: $(READY) ## run the fast tests without whole jobs in plain Python: slow, but index errors show

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -118,12 +119,15 @@ def test_dot_product(case, kind, rng):
     assert backward == pytest.approx(forward, rel=DOT_PRODUCT)
 
 
+THREADED = [
+    *itertools.product([True, False], [0.0], [True, False], [np.float64, np.float32]),
+    (True, 0.06, False, np.float32),  # one of each kind of kernels is enough
+]
+"""Whether volumes are averaged, the lattice's spacing, whether the material is viscous, and the precision."""
+
+
 @needs_jit
-@pytest.mark.parametrize("precision", [np.float64, np.float32])
-@pytest.mark.parametrize("viscous", [True, False], ids=["viscous", "elastic"])
-@pytest.mark.parametrize(
-    ("averaged", "spacing"), [(True, 0.0), (False, 0.0), (True, 0.06)], ids=["averaged", "local", "split"]
-)
+@pytest.mark.parametrize(("averaged", "spacing", "viscous", "precision"), THREADED)
 def test_any_number_of_threads_gives_the_same_bits(averaged, spacing, viscous, precision):
     model, inputs = held(2, viscous=viscous, real=precision)
     model, inputs.shaped = replace(split(model, inputs, spacing), averaged=averaged), averaged
