@@ -67,6 +67,7 @@ class SoftBody:
     fibres: Sequence[tuple[Sequence[Box], int, float]] = ()
     basis: Any = field(init=False)
     faces: Any = field(init=False)
+    pushes: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
         mesh, element = box_mesh(self.solid, self.hollow, self.size), ElementHex2()
@@ -85,7 +86,8 @@ class SoftBody:
     def solve(self, pressures: Sequence[float], report: Callable[[str], None] = print) -> list[Array]:
         """Return the displacements (n, 3) [m] under each pressure [Pa], each from the one before."""
         u, found = np.zeros((self.n, 3)), []
-        for pressure in pressures:
+        # at rest no fibre is stretched, so the first place is found with fibres that push as well
+        for pressure, self.pushes in [(pressures[0], True), *((each, False) for each in pressures)]:
             first = None
             for step in range(30):
                 residual, K = self.system(u, pressure)
@@ -98,7 +100,8 @@ class SoftBody:
                 change = np.zeros(3 * self.n)
                 change[self.free] = splu(K).solve(-residual[self.free])
                 u = u + self.damped(u, change.reshape(-1, 3), pressure, residual)
-            found.append(u.copy())
+            if not self.pushes:
+                found.append(u.copy())
         return found
 
     def damped(self, u: Array, change: Array, pressure: float, residual: Array) -> Array:
@@ -145,7 +148,7 @@ class SoftBody:
         A = A - (lam * log - mu) * np.einsum("kjeq,lieq->ikjleq", Finv, Finv)
         for where, axis, k in self.stiff:
             f, stretch = F[:, axis], np.einsum("ieq,ieq->eq", F[:, axis], F[:, axis]) - 1.0
-            pulls = k * where * (stretch > 0.0)  # fibres that are shorter than at rest do nothing
+            pulls = k * where * (self.pushes | (stretch > 0.0))  # fibres that are shorter than at rest do nothing
             P[:, axis] += 0.5 * pulls * stretch * f
             A[:, axis, :, axis] += pulls * np.einsum("ieq,jeq->ijeq", f, f)
             A[:, axis, :, axis] += 0.5 * pulls * stretch * one[:, :, None, None]

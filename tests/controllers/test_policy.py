@@ -46,7 +46,8 @@ def learner(request) -> tuple[Robot, Rollout, object]:
 
 
 def test_every_controller_has_an_example():
-    assert {controller.name for controller in EXAMPLES.values()} == set(plugins("controller"))
+    learned = {name for name, controller in plugins("controller").items() if controller.learned}
+    assert {controller.name for controller in EXAMPLES.values()} == learned
 
 
 def test_rollout_agrees_with_the_reference(learner):

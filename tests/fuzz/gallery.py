@@ -15,7 +15,10 @@ from cqrun.observers.vae import save_encoder
 
 SCENES = {path.stem: path.read_text() for path in sorted((Path(__file__).parent / "scenes").glob("*.yaml"))}
 
-CONTROLLERS = ("{linear_tanh: {gain: 0.9, spread: 0.1}}", "{open_loop: {every: 3, initial: 0.2, noise: 0.1}}")
+CONTROLLERS = (
+    "{linear_tanh: {gain: 0.9, spread: 0.1}}", "{open_loop: {every: 3, initial: 0.2, noise: 0.1}}",
+    "{given: {knots: [[0, 0, 0.5, 0.5, 0, 0], [1, -1, 1, 1, 0.5, 0]], every: 2, interpolate: linear}}",
+)  # fmt: skip
 OPTIMIZERS = {
     "plane": (
         "{adam: {learning_rate: 0.01, decay: 0.1, batch_size: 2, clip: 1, mask: 0.1, beta1: 0.8, epsilon: 1.0e-8}}",
