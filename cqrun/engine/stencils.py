@@ -93,6 +93,27 @@ def _node_of(place, first, i, j, k, strides):
     return lambda place, first, i, j, k, strides: first + i * strides[0] + j * strides[1] + k
 
 
+def row_of(place: Any, first: int, i: int, j: int, strides: Any) -> Any:
+    """Return the three nodes (i, j, 0 .. 2) of the stencil that begins at `first`."""
+    return tuple(node_of(place, first, i, j, k, strides) for k in range(3))
+
+
+@overload(row_of)
+def _row_of(place, first, i, j, strides):
+    if _has_table(place):
+        return written(
+            "lambda place, first, i, j, strides: ("
+            + "".join(f"place.table[first + 9 * i + 3 * j + {k}], " for k in range(3))
+            + ")"
+        )
+
+    def nodes(place, first, i, j, strides):
+        node = first + i * strides[0] + j * strides[1]
+        return node, node + 1, node + 2
+
+    return nodes
+
+
 def records_at(grid: Array, place: Any, nodes: Any, i: int, j: int, k: int, strides: Any) -> Any:
     """Return the records of nodes (i, j, k) of the stencils that begin at `nodes`, in one lane value."""
     return load_records(grid, tuple(node_of(place, first, i, j, k, strides) for first in nodes), 0)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cqrun.engine.stencils import Stencils, node_of, pairs_at, records_at, stencil, stencils
+from cqrun.engine.stencils import Stencils, node_of, pairs_at, records_at, row_of, stencil, stencils
 from cqrun.numerics.compile import kernel
 from cqrun.numerics.lanes import lane
 from cqrun.numerics.records import load4, store4
@@ -112,12 +112,10 @@ def spread_out(
         for j in range(3):
             w = w_i * lane(W[j], 1)
             a_j = a_i + b1 * j
-            node = node_of(place, first, i, j, 0, strides)
-            store_wide(grid, node, load_wide(grid, node, a) + a_j * w0 * w)
-            node = node_of(place, first, i, j, 1, strides)
-            store_wide(grid, node, load_wide(grid, node, a) + (a_j * w1 + c1) * w)
-            node = node_of(place, first, i, j, 2, strides)
-            store_wide(grid, node, load_wide(grid, node, a) + (a_j * w2 + c2) * w)
+            n0, n1, n2 = row_of(place, first, i, j, strides)
+            store_wide(grid, n0, load_wide(grid, n0, a) + a_j * w0 * w)
+            store_wide(grid, n1, load_wide(grid, n1, a) + (a_j * w1 + c1) * w)
+            store_wide(grid, n2, load_wide(grid, n2, a) + (a_j * w2 + c2) * w)
 
 
 @kernel
