@@ -7,7 +7,7 @@ nodes after the box. (N. Molino et al. copy the nodes of elements in this way: A
 mesh topology during simulation, ACM Transactions on Graphics 23 (2004).)
 
 Neighbours on a lattice hang together: particles at most `REACH` spacings apart. So a gap must miss at least one layer
-of the lattice. Where its walls meet they share nodes, so a gap ends about a cell and a half early.
+of the lattice. Nodes within a cell and a half of its end are shared, so a gap is too stiff there.
 
 The stencil of a particle is then a row of a table, not a step of constant strides. Particles of one cell that hang
 together have the same row.
