@@ -101,7 +101,8 @@ def test_two_halves_with_a_gap_move_as_two_bodies(dim):
 def test_a_narrow_gap_opens_as_a_wide_one_does():
     """A strip with two blocks on it bends in the gap between them, by an angle that grows with the gap's width.
 
-    A gap of one cell is stiffer than in proportion, because its sides share nodes at its end. If its sides share nodes, it stays shut.
+    A gap of one cell is stiffer than in proportion, because its sides share nodes at its end. If they share all nodes,
+    it stays shut.
     """
     sag = {}
     for gap, splits in ((2, True), (4, True), (2, False)):
