@@ -76,16 +76,19 @@ def rested(
 
 
 def write_poses(file: Path, *, E_true: float = TRUE, seed: int = 1, wide: bool = False, unit: str = "m",
-                offset: Sequence[float] = (0, 0), overrides: Sequence[str] = ()) -> Path:  # fmt: skip
+                offset: Sequence[float] = (0, 0), rotation: float = 0.0,
+                overrides: Sequence[str] = ()) -> Path:  # fmt: skip
     """Write the poses of an arm with noise, in the long form or in the wide one, and return their file.
 
     Args:
         offset: subtracted from the positions [m], so that a recording with this `offset` fits.
+        rotation: by which the positions are turned back then [rad], so that one with this `rotation` fits.
     """
     points = [dict(zip(LOADS.values(), loads, strict=True)) for loads in POSES.values()]
     _, _, places = rested([f"{E}={E_true}", *overrides], points)
     places = places[1:] + NOISE * np.random.default_rng(seed).normal(size=places[1:].shape) - np.array(offset)
-    places = places * {"m": 1.0, "mm": 1e3}[unit]
+    cosine, sine = np.cos(rotation), np.sin(rotation)
+    places = places @ np.array([[cosine, -sine], [sine, cosine]]) * {"m": 1.0, "mm": 1e3}[unit]
     end = "" if unit == "m" else f"_{unit}"
     with file.open("w", newline="") as text:
         rows = csv.writer(text)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from cqrun.errors import CrushedError, NoRestError, RolloutError
 from cqrun.fitting.runners import AtRest, InMotion, Runner
 from cqrun.measurements.at_rest import RestComparison
 from cqrun.measurements.comparison import Comparison
+from cqrun.measurements.placement import PLACED, Placement
 from cqrun.plugin.contract import Array
 from cqrun.running.side_by_side import Effort
 from cqrun.scene.keypath import split_own
@@ -32,11 +33,11 @@ class Case:
         comparisons: one per recording; noisy copies of a sequence share the run.
         start_path: key path of the recording's start, or None.
         start: start of the recording [s].
-        offset: added to the measured positions (D,) [m]; empty if nothing is added.
+        placement: of the measured positions in the axes of the scene.
         holdout: whether it is only predicted, never fitted.
         points: the loads of each equilibrium, by key path in its scene; empty for a rollout.
 
-    Values by path may include the recording's own: its start, its offset, and `data.recordings.NAME.overrides.PATH`,
+    Values by path may include the recording's own: its start, its placement, and `data.recordings.NAME.overrides.PATH`,
     which has in this case the meaning of PATH.
     """
 
@@ -45,7 +46,7 @@ class Case:
     comparisons: tuple[Comparison, ...]
     start_path: str | None = None
     start: float = 0.0
-    offset: Array = field(default_factory=lambda: np.zeros(0))
+    placement: Placement | None = None
     holdout: bool = False
     points: tuple[Mapping[str, float], ...] = ()
 
@@ -89,13 +90,20 @@ class Case:
         return self.start if path is None or path not in values else float(values[path])
 
     def compared(self, values: Mapping[str, Array]) -> tuple[Comparison, ...]:
-        """Return the comparisons, with the recording's offset added to the measured positions."""
-        offset = numbers(self._offset_path, self.offset.tolist(), values)
-        return tuple(comparison.moved(offset) for comparison in self.comparisons) if offset.any() else self.comparisons
+        """Return the comparisons, with the measured positions in the axes of the scene."""
+        placement = self.placed(values)
+        return tuple(each.placed(placement) for each in self.comparisons) if placement else self.comparisons
+
+    def placed(self, values: Mapping[str, Array]) -> Placement | None:
+        """Return where the axes of the recording lie."""
+        if self.placement is None:
+            return None
+        given = {what: getattr(self.placement, what).tolist() for what in PLACED}
+        return Placement(**{what: numbers(f"{self._path}.{what}", given[what], values) for what in PLACED})
 
     @property
-    def _offset_path(self) -> str:
-        return f"data.recordings.{self.name}.offset"
+    def _path(self) -> str:
+        return f"data.recordings.{self.name}"
 
     # --- runs ---------------------------------------------------------------------------------------------------
 
@@ -148,25 +156,27 @@ class Case:
     ) -> tuple[float, dict[str, Array], Effort]:  # fmt: skip
         """Return the sum of weights[k] * loss_k, its gradient by path, and the cost."""
         start, comparisons = self.start_of(values), self.compared(values)
-        offset_is_wanted = any(path.startswith(f"{self._offset_path}.") for path in values)
-        loss, start_bar, offset_bar = 0.0, 0.0, np.zeros(len(self.offset))
+        placement = self.placed(values)
+        is_wanted = any(path.startswith(f"{self._path}.{what}.") for path in values for what in PLACED)
+        loss, start_bar, placement_bars = 0.0, 0.0, list[Placement]()
 
         def loss_bar(records: Records) -> Records:
-            nonlocal loss, start_bar, offset_bar
+            nonlocal loss, start_bar
             total = records.zeros_like()
             for weight, comparison in zip(weights, comparisons, strict=True):
                 loss += weight * comparison.loss(records, start)
                 bar, by_start = comparison.loss_vjp(records, start, weight)
                 start_bar += by_start
-                if offset_is_wanted:
-                    offset_bar += comparison.moved_vjp(records, start, weight)
+                if is_wanted and placement is not None:
+                    placement_bars.append(placement.vjp(*comparison.measured_vjp(records, start, weight)))
                 total.add(bar)
             return total
 
         with self._named():
             by_own, effort = self.runner.gradient(self.own_values(values), loss_bar, threads, budget, near)
         gradient = self.own_values_vjp(values, by_own)
-        collect(self._offset_path, {"": offset_bar}, gradient)
+        for bar in placement_bars:
+            collect(self._path, {what: getattr(bar, what) for what in PLACED}, gradient)
         if self.start_path in gradient:
             gradient[str(self.start_path)] += start_bar
         return loss, gradient, effort

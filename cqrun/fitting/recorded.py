@@ -8,16 +8,18 @@ import numpy as np
 
 from cqrun.build.matter import matter_of
 from cqrun.build.model import Built, build
+from cqrun.build.values import numbers
 from cqrun.errors import DataError, Problem, SceneError, UsageError
 from cqrun.fitting.at_rest import rest_points
 from cqrun.fitting.case import Case
 from cqrun.measurements.at_rest import RestComparison
 from cqrun.measurements.measurement import Recorded
+from cqrun.measurements.placement import PLACED, Placement
 from cqrun.measurements.window import Window
 from cqrun.scene.data import Recording
 from cqrun.scene.paths import canonical
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import body_of, bounds_of, scene_of_recording, starts
+from cqrun.scene.unknowns import body_of, bounds_of, own_unknowns, scene_of_recording, starts
 from cqrun.scene.world_and_time import ON_CONTROL_STEP
 from cqrun.store.recordings import read_recording
 
@@ -47,22 +49,33 @@ def _recorded(built: Built, name: str, spec: Recording) -> Case:
     scene, path = built.scene, f"data.recordings.{name}.start"
     variant = _variant(built, name, spec)
     file = scene.resolve_path(spec.file)
-    begins = starts(scene)  # the start and the offset may be unknowns, or follow one
+    begins = starts(scene)  # the start and the placement may be unknowns, or follow one
     start = begins.get(path, spec.start)
-    offset = np.array([begins.get(f"data.recordings.{name}.offset.{k}", x) for k, x in enumerate(spec.offset)])
+    values = {path: np.asarray(value) for path, value in begins.items()}
+    own = f"data.recordings.{name}"
+    placement = Placement(*(numbers(f"{own}.{what}", getattr(spec, what), values) for what in PLACED))
     window = Window(
         scene.time.control_step, variant.model.n_controls, start, bounds_of(scene, path), spec.skip, source=str(file)
     )
     recorded = Recorded(
         file, spec.body, window, lambda names=None: read_recording(file, units=spec.units, names=names), spec.units,
-        None if spec.still is None else (spec.still[0], spec.still[1]), spec.weight, offset,
+        None if spec.still is None else (spec.still[0], spec.still[1]), spec.weight, placement,
     )  # fmt: skip
     comparison = spec.measurement.bind(recorded, matter_of(variant, {}))
     points: tuple[dict[str, float], ...] = ()
     if isinstance(comparison, RestComparison):
         points = rest_points(scene, name, variant, comparison)
+        if placement.rotation.any() or any(what.startswith("rotation.") for what in own_unknowns(scene, name)):
+            comparison.require_all_axes(file)
     return Case.probed(
-        name, variant, (comparison,), start_path=path, start=start, offset=offset, holdout=spec.holdout, points=points
+        name,
+        variant,
+        (comparison,),
+        start_path=path,
+        start=start,
+        placement=placement,
+        holdout=spec.holdout,
+        points=points,
     )
 
 

@@ -27,6 +27,7 @@ from cqrun.learning.agent import Agent
 from cqrun.learning.description import control_lines, line, objective_lines
 from cqrun.learning.episodes import EpisodeProblem, differentiated, has_episodes
 from cqrun.materials.moduli import at_rest_words
+from cqrun.measurements.placement import PLACED
 from cqrun.running.bodies import lies, made_of, on_particles, resolved, rounding_of
 from cqrun.running.cost import (
     NANOSECONDS,
@@ -256,7 +257,8 @@ def _recording(scene: Scene, case: Case) -> Iterator[str]:
     if fitted := own_unknowns(scene, case.name):
         yield line("", f"fitted for this recording alone: {listed(fitted)}")
     recording = scene.recordings.get(case.name)
-    if recording is not None and (given := [*recording.overrides, *["offset"] * any(recording.offset)]):
+    placed = [what for what in PLACED if recording is not None and any(getattr(recording, what))]
+    if recording is not None and (given := [*recording.overrides, *placed]):
         yield line("", f"given for this recording alone: {listed(given)}")
 
 

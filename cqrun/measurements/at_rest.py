@@ -13,6 +13,7 @@ from __future__ import annotations
 import copy
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -23,6 +24,7 @@ from cqrun.errors import DataError
 from cqrun.measurements.comparison import Comparison, Misfit
 from cqrun.measurements.load_table import LoadTable
 from cqrun.measurements.measurement import Measurement, Recorded
+from cqrun.measurements.placement import Placement
 from cqrun.plugin.contract import Array, Spec
 
 if TYPE_CHECKING:
@@ -202,15 +204,24 @@ class RestComparison(Comparison):
         y_bar = np.concatenate([np.zeros((1, *errors.shape[1:])), (2.0 * loss_bar / self.count) * errors])
         return self.observe_vjp(records, y_bar), 0.0
 
-    def moved(self, offset: Array) -> RestComparison:
-        """Return the comparison with an offset (D,) added to every measured value."""
+    def require_all_axes(self, file: Path) -> None:
+        """Raise a DataError if an axis was not measured: such positions cannot be turned."""
+        if (self.seen.any(axis=2) != self.seen.all(axis=2)).any():
+            raise DataError(
+                f"{file}: `rotation` turns positions, which needs all axes of each {self.spec.channel}, and the file "
+                "leaves some out: remove `rotation`"
+            )
+
+    def placed(self, placement: Placement) -> RestComparison:
+        """Return the comparison with measured positions that are turned and moved."""
         other = copy.copy(self)
-        other.data = np.where(self.seen, self.data + offset, 0.0)
+        other.data = np.where(self.seen, placement.of(self.data), 0.0)
         return other
 
-    def moved_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> Array:
-        """Return the cotangent of the offset (D,) that is added, from that of the loss."""
-        return np.asarray((-2.0 * loss_bar / self.count) * self.errors(records).sum(axis=(0, 1)))
+    def measured_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Array, Array]:
+        """Return the measured positions (n, D) [m] and their cotangents, from that of the loss."""
+        there = self.seen.any(axis=2)
+        return self.data[there], (-2.0 * loss_bar / self.count) * self.errors(records)[there]
 
     def misfit(self, records: Records, start: float) -> Misfit:
         """Return the root mean square errors, in all and by channel."""

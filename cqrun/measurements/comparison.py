@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cqrun.engine.model import Records
+from cqrun.measurements.placement import Placement
 from cqrun.plugin.contract import Array
 
 if TYPE_CHECKING:
@@ -62,16 +63,16 @@ class Comparison(ABC):
     def loss_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Records, float]:
         """Return the cotangents of the records and of `start` from that of the loss."""
 
-    def moved(self, offset: Array) -> Comparison:
-        """Return the comparison with measured positions to which an offset (D,) is added [m].
+    def placed(self, placement: Placement) -> Comparison:
+        """Return the comparison with measured positions that are turned and moved.
 
-        Only a measurement that takes `offset` is asked for one that is not zero.
+        Only a measurement that takes `offset` and `rotation` is asked for a placement that moves anything.
         """
         return self
 
-    def moved_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> Array | float:
-        """Return the cotangent of the offset (D,) that is added, from that of the loss; 0 if nothing can be moved."""
-        return 0.0
+    def measured_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Array, Array]:
+        """Return the measured positions (n, D) [m] and their cotangents, from that of the loss."""
+        raise NotImplementedError(f"{type(self).__name__} has no positions that could be placed")
 
     def from_rest(self, records: Records) -> Comparison:
         """Return the comparison with changes counted from the rest shape, whose records are given.

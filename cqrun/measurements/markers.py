@@ -16,6 +16,7 @@ from cqrun.errors import DataError
 from cqrun.explain import Loc, reworded
 from cqrun.measurements.alignment import Alignment, Measured, measure
 from cqrun.measurements.measurement import Measurement, Recorded
+from cqrun.measurements.placement import Placement
 from cqrun.measurements.plausible import plausible
 from cqrun.measurements.points import Points, markers
 from cqrun.measurements.recording import Recording
@@ -41,8 +42,8 @@ class Markers(Measurement):
 
     If the recording has `still` frames, its axes are aligned to the rest positions, and each marker's displacement from
     its mean over these frames is compared. If not, positions in the axes of the scene are compared. A marker off the
-    body stands on a rigid stem. `offset` is added to what is compared, for all markers alike; as an unknown it absorbs
-    a shift of the cameras.
+    body stands on a rigid stem. What is compared is turned by `rotation`, and `offset` is added, for all
+    markers alike; as unknowns they absorb that the cameras' axes are not known exactly.
 
     The file is C3D, a trajectory.h5, TRC, text of Motive, Vicon or Qualisys, or a table: with the columns time, marker,
     x, y(, z), or with a column for each coordinate such as tip_x. docs/recordings.md has an example of each.
@@ -61,7 +62,7 @@ class Markers(Measurement):
     digits: ClassVar[str] = ".3f"
     channel: ClassVar[str] = "marker"
     table: ClassVar[str] = "tracks"
-    takes: ClassVar[frozenset[str]] = frozenset({"still", "units", "offset"})
+    takes: ClassVar[frozenset[str]] = frozenset({"still", "units", "offset", "rotation"})
 
     @classmethod
     def _reworded(cls, error: ErrorDetails) -> InitErrorDetails:
@@ -86,7 +87,7 @@ class Markers(Measurement):
         measured = measure(recording, self.rest, recorded.still)
         observer = observe_markers(matter, recorded.body, dict(zip(measured.names, measured.rest, strict=True)))
         if measured.absolute:
-            require_near(matter, recorded.body, measured, recorded.offset)
+            require_near(matter, recorded.body, measured, recorded.placement)
         return MarkerComparison(
             self, recorded, observer, over_body(observer.rows, recorded.body, matter), measured.names, measured.time,
             measured.values, still=measured.still, relative=not measured.absolute, alignment=measured.alignment,
@@ -175,16 +176,16 @@ def _reach(matter: Matter, body: str) -> float:
 
 
 def require_near(
-    matter: Matter, body: str, measured: Measured, offset: Array | None, otherwise: str = WITHOUT_STILL
+    matter: Matter, body: str, measured: Measured, placement: Placement | None, otherwise: str = WITHOUT_STILL
 ) -> None:
     """Raise a DataError for positions that are never near where their markers are at rest.
 
     Args:
-        offset: that is added to the positions (D,) [m], or None.
+        placement: of the positions in the axes of the scene, or None.
         otherwise: advice if no other unit explains it.
     """
     reach = _reach(matter, body)
-    away = np.linalg.norm(measured.values + (0.0 if offset is None else offset) - measured.rest, axis=2)
+    away = np.linalg.norm((placement.of(measured.values) if placement else measured.values) - measured.rest, axis=2)
     for name, distances in zip(measured.names, away.T, strict=True):
         nearest = np.nanmin(distances, initial=np.inf)
         if np.isfinite(nearest) and nearest > reach:

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import ClassVar
 
 from cqrun.measurements.comparison import Comparison
+from cqrun.measurements.placement import Placement
 from cqrun.measurements.recording import Recording
 from cqrun.measurements.window import Window
 from cqrun.observers.matter import Matter
-from cqrun.plugin.contract import Array, Plugin
+from cqrun.plugin.contract import Plugin
 from cqrun.units import Unit
 
 
@@ -29,7 +30,7 @@ class Recorded:
         window: which frames are compared.
         read_markers: reads the named markers of a marker file of any format, or all of them if no names are given;
             DataError if the file is not one, or does not contain a name.
-        offset: (D,) which the comparison adds to measured positions before the fit changes it [m], or None.
+        placement: of measured positions in the axes of the scene before the fit changes it, or None.
     """
 
     file: Path
@@ -39,7 +40,7 @@ class Recorded:
     units: str | None = None
     still: tuple[float, float] | None = None
     weight: float = 1.0
-    offset: Array | None = None
+    placement: Placement | None = None
 
 
 class Measurement(Plugin):
@@ -52,8 +53,8 @@ class Measurement(Plugin):
         digits: format of reported errors.
         channel: name for the source of each series, such as `marker`.
         table: stem of the CSV file with data and model; the plug-in's name if empty.
-        takes: which of the recording's fields `still`, `units` and `offset` it uses; the others are refused. One that
-            takes `offset` returns a comparison that can be `moved`.
+        takes: which of the recording's fields `still`, `units`, `offset` and `rotation` it uses; the others are
+            refused. One that takes `offset` and `rotation` returns a comparison that can be `placed`.
         at_rest: whether the model is compared in equilibria and not in motion; then times have no meaning (at_rest.py).
     """
 

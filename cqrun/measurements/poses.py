@@ -39,10 +39,10 @@ class Poses(RestMeasurement):
     for each load. In its wide form each line is a pose, with NAME_x, NAME_y(, NAME_z) for each marker. A length unit
     may stand at the end of a column's name (`x_mm`). An empty cell was not seen; a whole axis may be missing.
 
-    Positions are in the axes of the scene; `offset` is added to them. A marker off the body stands on a rigid stem. The
-    model is at rest in every pose, so speeds, viscosity and time have no part. The scene needs `world.frame: reference`
-    and a boundary that holds the body. Each pose is found from the one before it or from the rest shape, whichever is
-    nearer; the order of the poses matters only where a body has several places of rest.
+    Positions are in the axes of the scene, up to `offset` and `rotation`. A marker off the body stands on a rigid stem.
+    The model is at rest in every pose, so speeds, viscosity and time have no part. The scene needs `world.frame:
+    reference` and a boundary that holds the body. Each pose is found from the one before it or from the rest shape,
+    whichever is nearer; the order of the poses matters only where a body has several places of rest.
     """
 
     quantity: ClassVar[str] = "position"
@@ -50,7 +50,7 @@ class Poses(RestMeasurement):
     shown: ClassVar[Unit] = Unit("mm", MILLI)
     digits: ClassVar[str] = ".3f"
     channel: ClassVar[str] = "marker"
-    takes: ClassVar[frozenset[str]] = frozenset({"units", "offset"})
+    takes: ClassVar[frozenset[str]] = frozenset({"units", "offset", "rotation"})
 
     markers: dict[str, RestPosition] = contract.quantity("m", "Marker -> position at rest in the scene", min_length=1)
 
@@ -87,7 +87,7 @@ class Poses(RestMeasurement):
         known = np.where(np.isnan(values), rest, values)
         number = np.arange(len(values), dtype=float)
         measured = Measured(number, tuple(self.markers), rest, known, known[:0], True, None, table.source)
-        require_near(matter, recorded.body, measured, recorded.offset, ADVICE)
+        require_near(matter, recorded.body, measured, recorded.placement, ADVICE)
 
 
 class PoseComparison(RestComparison):

@@ -18,6 +18,7 @@ from cqrun.engine.model import Records
 from cqrun.errors import DataError
 from cqrun.measurements.comparison import Comparison, Misfit
 from cqrun.measurements.measurement import Measurement, Recorded
+from cqrun.measurements.placement import Placement
 from cqrun.objectives.hermite import SLACK, Interpolant, interpolant, linear
 from cqrun.plugin.contract import Array
 
@@ -171,16 +172,18 @@ class SeriesComparison(Comparison):
         other.origin = self.observe(records)[0][0]
         return other
 
-    def moved(self, offset: Array) -> SeriesComparison:
-        """Return the comparison with an offset (D,) added to every measured value."""
+    def placed(self, placement: Placement) -> SeriesComparison:
+        """Return the comparison with measured values that are turned and moved."""
         other = copy.copy(self)
-        other.data = np.where(self.seen[..., None], self.data + offset, 0.0)
+        other.data = np.where(self.seen[..., None], placement.of(self.data), 0.0)
+        if placement.rotation.any():
+            other.still = self.still @ placement.matrix.T
         return other
 
-    def moved_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> Array:
-        """Return the cotangent of the offset (D,) that is added, from that of the loss."""
+    def measured_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Array, Array]:
+        """Return the measured values (count, D) and their cotangents, from that of the loss."""
         errors = self.residuals(records, start).reshape(self.count, -1)
-        return np.asarray((-2.0 * loss_bar / self.count) * errors.sum(axis=0))
+        return self.data[self.seen], (-2.0 * loss_bar / self.count) * errors
 
     def misfit(self, records: Records, start: float) -> Misfit:
         """Return the root mean square errors, in all and by channel."""

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from cqrun.explain import KEY, Loc, complaint, finding, listed
+from cqrun.measurements.placement import PLACED
 from cqrun.plugin.contract import Spec, quantity, vector
 from cqrun.plugin.reference import FileName, FilledIn, NamesBody
 from cqrun.plugin.registry import plugins
-from cqrun.scene.fields import Interval, Name, Seed, Vector
+from cqrun.scene.fields import Interval, Name, Seed, Vector, turning_problems
 from cqrun.scene.plugin_keys import PluginKeys
 from cqrun.units import LengthUnit
 
@@ -38,9 +39,9 @@ class Recording(PluginKeys):
     A recording may have values of its own, which no other recording has. `overrides` gives them. To fit one, name it in
     `unknowns` as `data.recordings.NAME.overrides.PATH`, such as `data.recordings.swing.overrides.world.gravity.1` for
     the tilt of one recording, or `....overrides.loads.push.point_force.force.0` for a pre-load. It starts from the
-    override if there is one, or else from the scene's value. `data.recordings.NAME.start` and
-    `data.recordings.NAME.offset.0` can be unknowns, too. If every recording is `holdout: true`, nothing is fitted:
-    `cqrun sysid` predicts the recordings with the scene's values.
+    override if there is one, or else from the scene's value. `data.recordings.NAME.start`, `....offset.0` and
+    `....rotation.0` can be unknowns, too. If every recording is `holdout: true`, nothing is fitted: `cqrun sysid`
+    predicts the recordings with the scene's values.
     """
 
     keys_of: ClassVar[str] = "measurement"
@@ -65,6 +66,11 @@ class Recording(PluginKeys):
         "m", "Added to the measured positions, in the axes of the scene; zero if absent", differentiable=True,
         exclude_if=lambda offset: not any(offset),  # so that scenes without any keep the names of their runs
     )  # fmt: skip
+    rotation: Annotated[list[float], FilledIn("zero spin")] = quantity(
+        "rad", "Turns the measured positions about the origin of the file, before `offset`: an angle in 2D, a rotation "
+        "vector in 3D; zero if absent", differentiable=True, min_length=1, max_length=3,
+        exclude_if=lambda rotation: not any(rotation),
+    )  # fmt: skip
     overrides: dict[str, Any] = Field(description="Key path -> value in this recording", default_factory=dict)
     weight: float = quantity("1", "Weight in the loss", gt=0, default=1.0)
 
@@ -73,12 +79,17 @@ class Recording(PluginKeys):
         """The measurement; `markers` if none is named."""
         return next(iter(self.chosen.values()), None) or markers()
 
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        return [*super().dim_problems(dim), *turning_problems(self, ("rotation",), dim)]
+
     @model_validator(mode="after")
     def _measured_in_one_way(self) -> Self:
         if len(self.chosen) > 1:
             message = f"must have one measurement; has {listed(self.chosen)}: make a recording for each"
             raise complaint("Recording", [finding(message, involves=self.chosen)])
-        given = {"still": self.still is not None, "units": self.units is not None, "offset": any(self.offset)}
+        given = {"still": self.still is not None, "units": self.units is not None}
+        given |= {what: any(getattr(self, what)) for what in PLACED}
         for name, is_given in given.items():
             if is_given and name not in self.measurement.takes:
                 message = f"has no meaning for the measurement `{self.measurement.name}`: remove it"

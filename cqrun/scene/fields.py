@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import psutil
 from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, WithJsonSchema
 
-from cqrun.explain import shown
+from cqrun.explain import Loc, shown
 from cqrun.units import format_bytes, parse_bytes
+
+if TYPE_CHECKING:
+    from cqrun.plugin.contract import Spec
 
 _IDENTIFIER = r"[A-Za-z_][A-Za-z0-9_]*"
 
@@ -66,3 +69,13 @@ Substeps = Annotated[
 Seed = Annotated[int, Field(ge=0)]
 Vector = Annotated[list[float], Field(min_length=2, max_length=3)]
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+def turning_problems(part: Spec, names: tuple[str, ...], dim: int) -> list[tuple[Loc, str]]:
+    """Return the fields that need as many entries as a world of `dim` dimensions has rotations, and have others."""
+    count = 1 if dim == 2 else 3
+    return [
+        ((name,), f"must have {'one entry' if dim == 2 else '3 entries'} in this {dim}D world, has {len(value)}")
+        for name in names
+        if (value := getattr(part, name)) is not None and len(value) != count
+    ]

@@ -13,6 +13,7 @@ from cqrun.explain import Loc, complaint, finding
 from cqrun.geometry.shape import ChosenShape
 from cqrun.plugin.contract import Spec, quantity, vector
 from cqrun.plugin.reference import FilledIn
+from cqrun.scene.fields import turning_problems
 
 FREE_ONLY = ("velocity", "spin", "force", "torque")
 """Fields that have no effect on a body that does not move freely."""
@@ -124,13 +125,3 @@ class RigidBody(Spec):
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
         return [*super().dim_problems(dim), *turning_problems(self, ("spin", "torque", "inertia"), dim)]
-
-
-def turning_problems(part: Spec, names: tuple[str, ...], dim: int) -> list[tuple[Loc, str]]:
-    """Return the fields that need as many entries as a world of `dim` dimensions has rotations, and have others."""
-    count = 1 if dim == 2 else 3
-    return [
-        ((name,), f"must have {'one entry' if dim == 2 else '3 entries'} in this {dim}D world, has {len(value)}")
-        for name in names
-        if (value := getattr(part, name)) is not None and len(value) != count
-    ]

@@ -10,6 +10,7 @@ from pydantic_core import InitErrorDetails
 
 from cqrun.errors import SceneError
 from cqrun.explain import KEY, Loc, finding, listed, suggest
+from cqrun.measurements.placement import PLACED
 from cqrun.plugin.reference import body_of as named_body
 from cqrun.scene.data import Unknown
 from cqrun.scene.keypath import own_path, split_own
@@ -76,7 +77,7 @@ def has_own_values(scene: Scene, recording: str) -> bool:
 
 
 def own_unknowns(scene: Scene, recording: str) -> list[str]:
-    """Return what is fitted for one recording alone: `start`, `offset.0`, or a path in the scene of the recording."""
+    """Return what is fitted for one recording alone: `start`, `offset.0`, `rotation.0`, or a path in its scene."""
     begin = f"data.recordings.{recording}."
     own = [path.removeprefix(begin) for _, path in _named(scene) if path.startswith(begin)]
     return [path.removeprefix("overrides.") for path in own]
@@ -251,18 +252,18 @@ def _duplicates(scene: Scene) -> Iterator[InitErrorDetails]:
 
 
 def _of_recordings(scene: Scene) -> Iterator[InitErrorDetails]:
-    """Yield findings for unknown values of recordings that are held out, and unknown offsets of what has none."""
+    """Yield findings for unknown values of recordings that are held out, and unknown placements of what has none."""
     for name, recording in scene.recordings.items():
         begin = f"data.recordings.{name}."
         for place, path in _named(scene):
             if not path.startswith(begin):
                 continue
-            what = path.removeprefix(begin).removeprefix("overrides.")
+            kind, what = path.removeprefix(begin).partition(".")[0], path.removeprefix(begin).removeprefix("overrides.")
             if recording.holdout:
                 its = "its start" if what == "start" else f"its own value of {what}"
                 message = f"the recording '{name}' is held out, so nothing determines {its}: remove this unknown"
                 yield finding(message, place, kind=KEY)
-            elif (what.startswith("offset.") and "offset" not in recording.measurement.takes) or (
+            elif (kind in PLACED and kind not in recording.measurement.takes) or (
                 what == "start" and recording.measurement.compares_rest
             ):
                 message = f"has no meaning for the measurement `{recording.measurement.name}`: remove it"

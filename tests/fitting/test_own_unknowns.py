@@ -24,6 +24,8 @@ from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.table import report_lines
 from cqrun.jobs.validate import validate
+from cqrun.measurements.comparison import Comparison
+from cqrun.measurements.placement import Placement
 from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
 from cqrun.store.history import read_history
@@ -255,13 +257,14 @@ def test_the_offset_has_an_adjoint_by_dot_product(session: Path, rng: np.random.
     (comparison,) = problem_of(session).cases[1].comparisons
     records = problem_of(session).cases[1].runner.still()
     offset, direction, r_bar = 0.01 * rng.normal(size=2), rng.normal(size=2), rng.normal(size=comparison.size)
-    change = comparison.moved(offset + direction).residuals(records, 0.015) - comparison.moved(offset).residuals(
-        records, 0.015
-    )
+
+    def placed(h: float) -> Comparison:
+        return comparison.placed(Placement(offset + h * direction, np.zeros(1)))
+
+    change = placed(1.0).residuals(records, 0.015) - placed(0.0).residuals(records, 0.015)
     assert float(r_bar @ change) == pytest.approx(float(-r_bar.reshape(-1, 2).sum(axis=0) @ direction), rel=1e-9)
-    moved = comparison.moved(offset)
-    bar = moved.moved_vjp(records, 0.015, 1.7)
-    ends = [1.7 * comparison.moved(offset + h * direction).loss(records, 0.015) for h in (1e-3, -1e-3)]
+    bar = Placement(offset, np.zeros(1)).vjp(*placed(0.0).measured_vjp(records, 0.015, 1.7)).offset
+    ends = [1.7 * placed(h).loss(records, 0.015) for h in (1e-3, -1e-3)]
     assert float(bar @ direction) == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-9)  # exact: it is quadratic
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from cqrun.engine.model import Records
 from cqrun.errors import DataError
 from cqrun.measurements.markers import MarkerComparison, Markers
 from cqrun.measurements.measurement import Recorded
+from cqrun.measurements.placement import Placement
 from cqrun.measurements.points import Points
 from cqrun.measurements.window import Window
 
@@ -91,13 +94,41 @@ def test_the_adjoint_of_an_offset_by_dot_product(rng, dim, absolute):
     """The loss is quadratic in the offset, so the central difference is exact. Gaps stay gaps."""
     comparison, record = make(rng, dim, absolute=absolute), smooth_record(rng, dim)
     offset, direction = rng.normal(size=(2, dim))
-    here = comparison.moved(offset)
-    bar = here.moved_vjp(record, 0.3045, 1.7)
-    ahead, behind = (1.7 * comparison.moved(offset + h * direction).loss(record, 0.3045) for h in (0.5, -0.5))
+    axes = Placement.none(dim)
+    at = replace(axes, offset=offset)
+    here = comparison.placed(at)
+    bar = at.vjp(*here.measured_vjp(record, 0.3045, 1.7)).offset
+    ends = (comparison.placed(replace(axes, offset=offset + h * direction)) for h in (0.5, -0.5))
+    ahead, behind = (1.7 * end.loss(record, 0.3045) for end in ends)
     assert float(bar @ direction) == pytest.approx(ahead - behind, rel=1e-9)
     assert here.seen is comparison.seen
     assert not here.data[~here.seen].any()
     np.testing.assert_allclose(here.data[here.seen] - comparison.data[here.seen], offset * np.ones((here.count, dim)))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("size", [0.0, 1e-9, 5e-3, 0.7, 3.1])
+def test_the_adjoint_of_a_rotation_by_dot_product(rng, dim, size):
+    """A rotation turns values and still values about the origin of the file; its adjoint agrees with differences."""
+    comparison, record = make(rng, dim, absolute=True), smooth_record(rng, dim)
+    axes = Placement.none(dim)
+    axis = rng.normal(size=axes.rotation.shape)
+    at = Placement(rng.normal(size=dim), size * axis / np.linalg.norm(axis))
+    direction = rng.normal(size=axis.shape)
+    bar = at.vjp(*comparison.placed(at).measured_vjp(record, 0.3045, 1.7)).rotation
+
+    def loss(h):
+        return 1.7 * comparison.placed(replace(at, rotation=at.rotation + h * direction)).loss(record, 0.3045)
+
+    h = 1e-3
+    expected = (-loss(3 * h) + 9 * loss(2 * h) - 45 * loss(h) + 45 * loss(-h) - 9 * loss(-2 * h) + loss(-3 * h)) / (
+        -60 * h
+    )
+    assert float(bar @ direction) == pytest.approx(expected, rel=1e-9)
+    here = comparison.placed(at)
+    np.testing.assert_allclose(at.matrix @ at.matrix.T, np.eye(dim), atol=1e-14)
+    turned = np.einsum("de,...e->...d", at.matrix, comparison.data) + at.offset
+    np.testing.assert_allclose(here.data[here.seen], turned[here.seen], rtol=1e-12, atol=1e-14)
 
 
 def test_loss_is_the_mean_squared_distance_and_the_square_of_the_rmse(rng):

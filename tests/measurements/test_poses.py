@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from cqrun.build.load_path import gradient_of, inputs_of
 from cqrun.build.matter import matter_of
 from cqrun.build.model import build
 from cqrun.engine.model import Inputs
-from cqrun.errors import Stopped
+from cqrun.errors import SceneError, Stopped
 from cqrun.figures.draw import draw_run
 from cqrun.figures.run_data import read_run
 from cqrun.fitting.cases import given_cases
@@ -39,6 +40,7 @@ from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.table import report_lines
 from cqrun.jobs.validate import validate
 from cqrun.measurements.markers import observe_markers
+from cqrun.measurements.placement import PLACED, Placement
 from cqrun.measurements.recording import Recording
 from cqrun.optimizers.base import TrialFailed
 from cqrun.running.unknowns import make_params
@@ -49,6 +51,8 @@ from cqrun.store.trajectory import read_trajectory
 OFFSET = (1.5e-3, -0.8e-3)
 OFFSETS = [f"data.recordings.arm.offset.{k}" for k in range(2)]
 NO_REST = r"recording 'arm': no equilibrium was found at point \d of 5, pose '[a-z ]+' \(actuators.*% of the way"
+ANGLE = 0.07
+TURN = "data.recordings.arm.rotation.0"
 TILT = "data.recordings.arm.overrides.world.gravity.0"
 
 
@@ -147,6 +151,47 @@ def test_tilt_and_offset_of_one_recording_beside_a_shared_material(folder):
     assert result["recordings"]["arm"]["rmse_mm"] < 0.06
 
 
+def test_the_axes_of_a_recording_are_found(folder):
+    """Its cameras were turned by 4 degrees about the origin of their file, and moved."""
+    write_poses(folder / "turned.csv", offset=OFFSET, rotation=ANGLE, seed=4)
+    unknowns = f"""\
+  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}
+  {TURN}: {{bounds: [-0.3, 0.3]}}
+  {OFFSETS[0]}: {{bounds: [-0.01, 0.01]}}
+  {OFFSETS[1]}: {{bounds: [-0.01, 0.01]}}
+"""
+    scene = scene_of(folder, recording("arm", "turned.csv"), unknowns)
+    result = result_of(run_sysid(scene, [], folder / "out", threads=1))
+    for path, truth in zip((E, TURN, *OFFSETS), (TRUE, ANGLE, *OFFSET), strict=True):
+        low, high = result["unknowns"][path]["interval"]
+        assert low < truth < high, path
+    assert result["recordings"]["arm"]["rmse_mm"] < 0.06
+    given = scene_of(folder, recording("arm", "turned.csv", rotation=f"[{ANGLE}]", offset=str(list(OFFSET))))
+    assert any("given for this recording alone: offset, rotation" in line for line in validate(given))
+    (turned,) = problem_of(given).cases[0].compared({})
+    (straight,) = problem_of(scene_of(folder, recording())).cases[0].compared({})
+    np.testing.assert_allclose(turned.data, straight.data, atol=5 * NOISE)
+
+
+def test_positions_without_an_axis_cannot_be_turned(folder):
+    wide = [line.split(",") for line in (folder / "wide.csv").read_text().splitlines()]
+    left = [k for k, name in enumerate(wide[0]) if not name.endswith("_y_mm")]
+    (folder / "flat.csv").write_text("\n".join(",".join(line[k] for k in left) for line in wide))
+    message = r"needs all axes of each marker, and the file leaves some out: remove `rotation`"
+    problem_of(scene_of(folder, recording("arm", "flat.csv")))
+    with pytest.raises(SceneError, match=message):
+        problem_of(scene_of(folder, recording("arm", "flat.csv", rotation="[0.1]")))
+    unknowns = f"  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}\n  {TURN}: {{bounds: [-0.3, 0.3]}}\n"
+    with pytest.raises(SceneError, match=message):
+        problem_of(scene_of(folder, recording("arm", "flat.csv"), unknowns))
+
+
+def test_a_rotation_has_as_many_entries_as_the_world_has_rotations(folder):
+    scene = scene_of(folder, recording(rotation="[0.1, 0, 0]"))
+    with pytest.raises(SceneError, match=r"rotation: must have one entry in this 2D world, has 3"):
+        load_scene(scene)
+
+
 def test_markers_in_motion_and_poses_in_one_fit(folder):
     """Both are in metres and share the modulus; the motion is a swing in the reference frame."""
     swing = ARM.replace("duration: 0.02", "duration: 0.1")
@@ -233,11 +278,14 @@ def test_the_loss_has_the_adjoint_of_a_dot_product(folder, rng):
     along = sum(float((getattr(bar, name) * part).sum()) for name, part in change.items())
     h = 1e-3
     assert along == pytest.approx((loss(-2 * h) - 8 * loss(-h) + 8 * loss(h) - loss(2 * h)) / (12 * h), rel=1e-9)
-    offset_bar = poses.moved_vjp(records, 0.0, 1.7)
-    for axis in range(2):
-        step = 1e-3 * np.eye(2)[axis]
-        there = [1.7 * poses.moved(k * step).loss(records, 0.0) for k in (-1.0, 1.0)]
-        assert offset_bar[axis] == pytest.approx((there[1] - there[0]) / 2e-3, rel=1e-9)
+    here = Placement(np.array([0.01, -0.02]), np.array([0.3]))
+    placed_bar = here.vjp(*poses.placed(here).measured_vjp(records, 0.0, 1.7))
+    for what in PLACED:
+        for k, slope in enumerate(getattr(placed_bar, what)):
+            step = 1e-3 * np.eye(len(getattr(here, what)))[k]
+            ends = (replace(here, **{what: getattr(here, what) + n * step}) for n in (-2, -1, 1, 2))
+            far, near, ahead, beyond = (1.7 * poses.placed(end).loss(records, 0.0) for end in ends)
+            assert slope == pytest.approx((far - 8 * near + 8 * ahead - beyond) / 12e-3, rel=1e-9)
 
 
 def test_taylor_through_the_equilibria(folder):
@@ -255,6 +303,7 @@ def test_gradcheck_agrees(folder):
   {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}
   {TILT}: {{bounds: [-3, 3]}}
   {OFFSETS[0]}: {{bounds: [-0.01, 0.01]}}
+  {TURN}: {{bounds: [-0.3, 0.3]}}
 """
     run, agrees = run_gradcheck(scene_of(folder, recording(), unknowns), [], folder / "out", threads=1)
     assert agrees, "\n".join(report_lines(run))
