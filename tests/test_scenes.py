@@ -100,6 +100,7 @@ SMALLER = {
         f"{name}_codesign": [f"bodies.{name}.sampling.lattice.count=3", boundaries(3, 0.0), *designed(name)]
         for name in ("quadruped", "hexapod", "octopod")
     },
+    "finger_codesign": ["world.dx=0.002", "bodies.finger.spacing=0.001"],
     "creature": ["bodies.creature.spacing=0.02", "time.substeps=2", boundaries(3, 0.0), *elastic("creature")],
 }  # fmt: skip
 """Overrides that make a scene faster, in addition to a shorter run."""
@@ -198,7 +199,7 @@ def loosened(path: Path) -> list[str]:
 
 
 def test_the_expected_scenes_exist():
-    wanted = {"beam_twin", "collision", "finger_material", "real_beam", "hydraulic_finger", *PAPERS}
+    wanted = {"beam_twin", "collision", "finger_material", "real_beam", "hydraulic_finger", "finger_codesign", *PAPERS}
     assert wanted <= {path.stem for path in SCENES}
 
 

@@ -40,6 +40,9 @@ ASYMMETRIC = 0.1
 NEIGHBOURS = 6
 """Number of neighbours of a particle whose distances are compared to find how far particles have moved apart."""
 
+TOUCHING = 1.5
+"""Pieces of a body touch if their particles are nearer than this many spacings."""
+
 Ends = Mapping[str, float]
 
 
@@ -197,9 +200,9 @@ class _Rest:
     def __init__(self, scene: Scene, particles: Particles, starts: Ends) -> None:
         self.scene, self.particles, self.starts = scene, particles, starts
         self._geometry = Geometry(scene, particles)
-        self._near = {name: _neighbours(particles.x[particles.of(name)]) for name in particles.names}
+        self._pieces = {name: _Pieces(particles, name) for name in particles.names}
         before, self._volume = self._at(starts)
-        self._distance = {name: self._largest_distance(name, before) for name in particles.names}
+        self._distance = {name: self._pieces[name].largest_distance(before) for name in particles.names}
 
     def problems_at(self, values: Ends) -> Iterator[str]:
         """Yield what is wrong at some values, with the other unknowns at their starts."""
@@ -240,20 +243,57 @@ class _Rest:
 
     def _sparse(self, body: str, x: Array) -> Iterator[str]:
         """Yield a message if a body's particles are further apart than half a cell, and than at the start."""
-        dx, distance = self.scene.world.dx, self._largest_distance(body, x)
+        dx, pieces = self.scene.world.dx, self._pieces[body]
+        distance = pieces.largest_distance(x)
         risk = "nodes would move without resistance" if self.scene.world.frame == "reference" else "it may break apart"
-        if distance > max(0.5 * dx * (1 + ROUNDING), self._distance[body] * (1 + ROUNDING)):
+        if distance > max(0.5 * dx, self._distance[body]) * (1 + ROUNDING):
             yield (
                 f"bodies.{body} has particles {distance:.4g} m apart, fewer than two in a cell of {dx:g} m, so {risk}: "
                 "give it more particles"
             )
+        paths = list(self.scene.bodies[body].pieces)
+        for (one, other), gap in pieces.gaps(x).items():
+            if gap > TOUCHING * pieces.spacing:
+                here, there = (f"bodies.{body}.{paths[k]}" for k in (one, other))
+                yield f"{here} and {there} come apart: their nearest particles are {gap:.4g} m from each other"
 
-    def _largest_distance(self, body: str, x: Array) -> float:
-        """Return the largest distance between neighbouring particles of a body [m]."""
-        near, before = self._near[body]
-        x_body = x[self.particles.of(body)]
-        after = np.linalg.norm(x_body[near] - x_body[:, None], axis=2)
-        return self.particles.spacing[body] * max(1.0, float((after / before).max(initial=0.0)))
+
+class _Pieces:
+    """How near the particles of a body are to each other, in each of its pieces and across them.
+
+    Pieces may slide along each other, such as a wall along a floor, as long as they touch.
+    """
+
+    def __init__(self, particles: Particles, body: str) -> None:
+        points = particles.points[body]
+        self.own, self.spacing = particles.of(body), particles.spacing[body]
+        self.members = [np.flatnonzero(points.piece == k) for k in range(points.piece.max() + 1)]
+        self.near = [_neighbours(points.world[part]) for part in self.members]
+        self.touching = [
+            (a, b)
+            for a, b in itertools.combinations(range(len(self.members)), 2)
+            if _apart(points.world[self.members[a]], points.world[self.members[b]]) < TOUCHING * self.spacing
+        ]
+
+    def largest_distance(self, x: Array) -> float:
+        """Return the largest distance between neighbouring particles of a piece [m]."""
+        most, x_body = 1.0, x[self.own]
+        for part, (near, before) in zip(self.members, self.near, strict=True):
+            after = np.linalg.norm(x_body[part][near] - x_body[part][:, None], axis=2)
+            most = max(most, float((after / before).max(initial=0.0)))
+        return self.spacing * most
+
+    def gaps(self, x: Array) -> dict[tuple[int, int], float]:
+        """Return how far pieces that touch at the start are from each other, by their numbers [m]."""
+        x_body = x[self.own]
+        return {(a, b): _apart(x_body[self.members[a]], x_body[self.members[b]]) for a, b in self.touching}
+
+
+def _apart(x: Array, y: Array) -> float:
+    """Return the least distance between two sets of points (n, D) and (m, D) [m]."""
+    from scipy.spatial import cKDTree
+
+    return float(cKDTree(x).query(y)[0].min())
 
 
 def _neighbours(x: Array) -> tuple[Array, Array]:

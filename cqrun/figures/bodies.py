@@ -111,7 +111,8 @@ def draw_bodies(run: RunData) -> Figure:
     tall = [PANEL * float(np.clip((w[1, 1] - w[0, 1]) / (w[1, 0] - w[0, 0]), 0.25, 2.2)) for w in windows]
     figure = new_figure(PANEL * len(shots) + 1.3, sum(tall) + 0.35 * len(looks) + 0.75)
     panels = figure.subplots(len(looks), len(shots), squeeze=False, height_ratios=tall)
-    unit, fibres = length_unit(float(np.max(windows[0]))), fibres_of(run.scene) if shots[0].frame == 0 else []
+    at_rest = shots[0].frame == 0 and run.scene.start != "equilibrium"  # fibres are drawn where they are at rest
+    unit, fibres = length_unit(float(np.max(windows[0]))), fibres_of(run.scene) if at_rest else []
     for row, (look, corners) in enumerate(zip(looks, windows, strict=True)):
         for axes, shot, rgb in zip(panels[row], shots, shades, strict=True):
             plot_body(axes, run.scene, shot, look, corners, unit, rgb)

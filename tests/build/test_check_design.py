@@ -310,3 +310,29 @@ def test_the_short_spelling_of_a_path_in_a_union():
     assert [np.ptp(x[built.particles.of(body), 1]) for body in "ab"] == pytest.approx([0.4 * 15 / 16] * 2)
     (case,) = make_cases(built)
     assert len(case.comparisons) == 1
+
+
+PARTS = {"floor": {"box": {"corner": [0.2, 0.2], "size": [0.4, 0.05]}},
+         "wall": {"box": {"corner": [0.3, 0.25], "size": [0.1, 0.2]}}}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("unknowns", "message"),
+    [
+        ({"bodies.a.parts.wall.box.size.0": {"bounds": [0.05, 0.15]}}, None),
+        ({"bodies.a.parts.wall.box.corner.0": {"bounds": [0.25, 0.4]}}, None),
+        (
+            {"bodies.a.parts.wall.box.corner.1": {"bounds": [0.25, 0.3]}},
+            r"at 0\.3 bodies\.a\.parts\.floor and bodies\.a\.parts\.wall come apart: their nearest particles are",
+        ),
+    ],
+    ids=["thicker", "sliding", "apart"],
+)
+def test_parts_may_slide_along_each_other_and_not_come_apart(unknowns, message):
+    bodies = {"a": {"parts": PARTS, "particles_per_cell": 16, "material": MATERIAL}}
+    scene = load_scene(data(unknowns, bodies=bodies, **denser("a")))
+    if message is None:
+        build(scene)
+        return
+    with pytest.raises(SceneError, match=message):
+        build(scene)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from cqrun.cli.results import infeasible_shown
 from cqrun.design.spread import mirrored
 from cqrun.errors import InfeasibleError, RunError, SceneError, UsageError
 from cqrun.jobs.control import CODESIGN, CONTROL, run_codesign, run_control
+from cqrun.jobs.gradcheck import run_gradcheck
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.table import report_lines
@@ -25,6 +27,7 @@ from cqrun.scene.references import TAKEN
 from cqrun.store.history import read_history
 from cqrun.store.run import read_record
 
+FINGER = Path(__file__).parents[2] / "scenes" / "robots" / "finger_codesign.yaml"
 MORE = [
     "unknowns.bodies.finger.material.density={bounds: [0.5, 2], per: group}",
     "constraints.heavy={of: {mass: {body: finger, group: tip}}, equals: 20}",
@@ -296,6 +299,25 @@ def test_a_body_alone_is_designed_if_its_activations_are_given(finger, tmp_path)
     assert result["loss"] < read_history(run / "history.csv")["loss"][0]
     replay = result_of(run_simulate(run, [], tmp_path / "replay", threads=1))
     assert replay["loss"] == result["loss"]
+
+
+def test_a_finger_at_rest_is_designed_alone(tmp_path):
+    """Thinner walls and stiffer fibres bend it at less pressure, until the walls stretch too far."""
+    coarse = ["world.dx=0.002", "bodies.finger.spacing=0.001", "constraints.stretch.at_most=1.15"]
+    run = learn(FINGER, tmp_path, *coarse)
+    result = result_of(run)
+    assert result["status"] == "converged"
+    assert result["loss"] < 0.5 * read_history(run / "history.csv")["loss"][0]
+    assert result["constraints"]["bent"]["value"] == pytest.approx(-0.5, abs=1e-5)
+    assert result["constraints"]["stretch"]["value"] <= 1.15 + 1e-6
+    replay = run_simulate(run, [], tmp_path / "replay", threads=1)
+    assert result_of(replay)["loss"] == result["loss"]
+
+
+def test_the_gradient_of_a_design_at_rest_agrees_with_differences(tmp_path):
+    coarse = ["world.dx=0.002", "bodies.finger.spacing=0.001"]
+    run, agrees = run_gradcheck(FINGER, coarse, tmp_path, threads=1)
+    assert agrees, "\n".join(report_lines(run))
 
 
 def test_validate_tells_the_constraints(finger):
