@@ -13,7 +13,10 @@ from cqrun.build.load_path import inputs_of
 from cqrun.build.matter import matter_of
 from cqrun.build.model import Built, build
 from cqrun.engine.statics.path import RestPath, RestRecords
+from cqrun.fitting.cases import given_cases
+from cqrun.fitting.problem import FitProblem
 from cqrun.measurements.markers import observe_markers, over_body
+from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
 
 ARM = """\
@@ -121,3 +124,11 @@ def recording(name: str = "arm", file: str = "poses.csv", **more: str) -> str:
     """Return a recording of poses as a line of YAML; `more` are its other keys."""
     given = "".join(f", {key}: {value}" for key, value in more.items())
     return f"    {name}: {{file: {file}, poses: {{loads: {POSES_OF}, markers: {markers_text()}}}{given}}}\n"
+
+
+def problem_of(scene: Path, *overrides: str) -> FitProblem:
+    """Return the problem of a scene's fit."""
+    built = build(load_scene(scene, overrides))
+    cases = given_cases(built)
+    assert cases is not None
+    return FitProblem(cases, make_params(built))

@@ -18,6 +18,7 @@ from small_arm import (
     TRUE,
     UPPER,
     E,
+    problem_of,
     recording,
     scene_of,
     write_poses,
@@ -29,11 +30,9 @@ from cqrun.build.load_path import gradient_of, inputs_of
 from cqrun.build.matter import matter_of
 from cqrun.build.model import build
 from cqrun.engine.model import Inputs
-from cqrun.errors import SceneError, Stopped
+from cqrun.errors import Stopped
 from cqrun.figures.draw import draw_run
 from cqrun.figures.run_data import read_run
-from cqrun.fitting.cases import given_cases
-from cqrun.fitting.problem import FitProblem
 from cqrun.jobs.gradcheck import run_gradcheck
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.sysid import run_sysid
@@ -43,7 +42,6 @@ from cqrun.measurements.markers import observe_markers
 from cqrun.measurements.placement import PLACED, Placement
 from cqrun.measurements.recording import Recording
 from cqrun.optimizers.base import TrialFailed
-from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
 from cqrun.store.formats.long_table import write_csv
 from cqrun.store.trajectory import read_trajectory
@@ -51,7 +49,6 @@ from cqrun.store.trajectory import read_trajectory
 OFFSET = (1.5e-3, -0.8e-3)
 OFFSETS = [f"data.recordings.arm.offset.{k}" for k in range(2)]
 NO_REST = r"recording 'arm': no equilibrium was found at point \d of 5, pose '[a-z ]+' \(actuators.*% of the way"
-ANGLE = 0.07
 TURN = "data.recordings.arm.rotation.0"
 TILT = "data.recordings.arm.overrides.world.gravity.0"
 
@@ -79,13 +76,6 @@ def found(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a finished fit of both forms."""
     recordings = recording() + recording("wide", "wide.csv", holdout="true")
     return run_sysid(scene_of(data, recordings), [], tmp_path_factory.mktemp("found"), threads=1)
-
-
-def problem_of(scene: Path, *overrides: str) -> FitProblem:
-    built = build(load_scene(scene, overrides))
-    cases = given_cases(built)
-    assert cases is not None
-    return FitProblem(cases, make_params(built))
 
 
 # --- what it finds ----------------------------------------------------------------------------------------------------
@@ -149,47 +139,6 @@ def test_tilt_and_offset_of_one_recording_beside_a_shared_material(folder):
         low, high = result["unknowns"][path]["interval"]
         assert low < truth < high, path
     assert result["recordings"]["arm"]["rmse_mm"] < 0.06
-
-
-def test_the_axes_of_a_recording_are_found(folder):
-    """Its cameras were turned by 4 degrees about the origin of their file, and moved."""
-    write_poses(folder / "turned.csv", offset=OFFSET, rotation=ANGLE, seed=4)
-    unknowns = f"""\
-  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}
-  {TURN}: {{bounds: [-0.3, 0.3]}}
-  {OFFSETS[0]}: {{bounds: [-0.01, 0.01]}}
-  {OFFSETS[1]}: {{bounds: [-0.01, 0.01]}}
-"""
-    scene = scene_of(folder, recording("arm", "turned.csv"), unknowns)
-    result = result_of(run_sysid(scene, [], folder / "out", threads=1))
-    for path, truth in zip((E, TURN, *OFFSETS), (TRUE, ANGLE, *OFFSET), strict=True):
-        low, high = result["unknowns"][path]["interval"]
-        assert low < truth < high, path
-    assert result["recordings"]["arm"]["rmse_mm"] < 0.06
-    given = scene_of(folder, recording("arm", "turned.csv", rotation=f"[{ANGLE}]", offset=str(list(OFFSET))))
-    assert any("given for this recording alone: offset, rotation" in line for line in validate(given))
-    (turned,) = problem_of(given).cases[0].compared({})
-    (straight,) = problem_of(scene_of(folder, recording())).cases[0].compared({})
-    np.testing.assert_allclose(turned.data, straight.data, atol=5 * NOISE)
-
-
-def test_positions_without_an_axis_cannot_be_turned(folder):
-    wide = [line.split(",") for line in (folder / "wide.csv").read_text().splitlines()]
-    left = [k for k, name in enumerate(wide[0]) if not name.endswith("_y_mm")]
-    (folder / "flat.csv").write_text("\n".join(",".join(line[k] for k in left) for line in wide))
-    message = r"needs all axes of each marker, and the file leaves some out: remove `rotation`"
-    problem_of(scene_of(folder, recording("arm", "flat.csv")))
-    with pytest.raises(SceneError, match=message):
-        problem_of(scene_of(folder, recording("arm", "flat.csv", rotation="[0.1]")))
-    unknowns = f"  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}\n  {TURN}: {{bounds: [-0.3, 0.3]}}\n"
-    with pytest.raises(SceneError, match=message):
-        problem_of(scene_of(folder, recording("arm", "flat.csv"), unknowns))
-
-
-def test_a_rotation_has_as_many_entries_as_the_world_has_rotations(folder):
-    scene = scene_of(folder, recording(rotation="[0.1, 0, 0]"))
-    with pytest.raises(SceneError, match=r"rotation: must have one entry in this 2D world, has 3"):
-        load_scene(scene)
 
 
 def test_markers_in_motion_and_poses_in_one_fit(folder):
@@ -303,7 +252,7 @@ def test_gradcheck_agrees(folder):
   {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}
   {TILT}: {{bounds: [-3, 3]}}
   {OFFSETS[0]}: {{bounds: [-0.01, 0.01]}}
-  {TURN}: {{bounds: [-0.3, 0.3]}}
+  data.recordings.arm.rotation.0: {{bounds: [-0.3, 0.3]}}
 """
     run, agrees = run_gradcheck(scene_of(folder, recording(), unknowns), [], folder / "out", threads=1)
     assert agrees, "\n".join(report_lines(run))
