@@ -247,6 +247,13 @@ class Assembly:
         viscosity = sum(spec.wave_viscosity(theta) for spec, theta in terms)
         return self._per_particle(body, path, default, values), np.asarray(modulus), np.asarray(viscosity)
 
+    def terms_at(self, body: str, particle: int, values: Values) -> tuple[list[Any], list[Array]]:
+        """Return the kernels' views of a body's terms, and the parameters of each (rows,), at one of its particles."""
+        each = [(spec, self._theta(body, (path, spec, e), values)) for path, spec, e in self._terms_of(body)]
+        thetas = [theta[:, [particle]] for _, theta in each]
+        terms = [spec.kernel_term(theta) for (spec, _), theta in zip(each, thetas, strict=True)]
+        return terms, [theta[:, 0] for theta in thetas]
+
     # --- the design --------------------------------------------------------------------------------------------------
 
     def design(self, inputs: Inputs) -> Array:

@@ -33,7 +33,7 @@ def moving_warnings(scene: Scene, particles: Particles) -> Iterator[Problem]:
         spec: Any = boundary(scene, name)
         if not getattr(spec, "moves", False) or getattr(spec, "to", None) is not None:
             continue
-        held, path = _inside(spec, particles.x, size), f"boundaries.{name}.{chosen.name}"
+        held, path = held_by(spec, particles.x, size), f"boundaries.{name}.{chosen.name}"
         for body in particles.names:
             own = particles.x[particles.of(body)][held[particles.of(body)]]
             if len(own):
@@ -42,20 +42,29 @@ def moving_warnings(scene: Scene, particles: Particles) -> Iterator[Problem]:
                     yield Problem(scene.where(path), path, message)
 
 
-def _inside(spec: Any, x: Array, size: Array) -> Array:
+def held_by(spec: Any, x: Array, size: Array) -> Array:
     """Return which points (n, D) a boundary contains, as bool (n,)."""
     return np.any([inside for inside, _ in spec.places(x, size)], axis=0)
 
 
 def _steps(scene: Scene, spec: Any, x: Array) -> Iterator[tuple[float, Array]]:
     """Yield the time [s] and the places of held points x (n, D) along the path of their boundary."""
-    dim, duration = scene.dim, scene.time.duration
-    over = spec.over or duration
+    duration = scene.time.duration
+    times = np.linspace(0.0, min(spec.over or duration, duration), PLACES + 1)[1:]
+    yield from zip(times.tolist(), carried(scene, spec, x, times), strict=True)
+
+
+def carried(scene: Scene, spec: Any, x: Array, times: Array) -> Iterator[Array]:
+    """Yield the places of points x (n, D) that a boundary holds, at some times [s]."""
+    if not spec.moves:
+        yield from (x for _ in times)
+        return
+    dim, over = scene.dim, spec.over or scene.time.duration
     to = np.array(spec.carried_to(dim), float)
     center = x.mean(axis=0) if spec.center is None else np.array(spec.center)
-    for time in np.linspace(0.0, min(over, duration), PLACES + 1)[1:]:
-        part = time / over
-        yield float(time), x + part * to[:dim] + (x - center) @ rotation_matrix(part * to[dim:]).T
+    for time in times:
+        part = min(time / over, 1.0)
+        yield x + part * to[:dim] + (x - center) @ rotation_matrix(part * to[dim:]).T
 
 
 def _met(scene: Scene, particles: Particles, name: str, body: str, steps: list[tuple[float, Array]]) -> Iterator[str]:
@@ -74,7 +83,7 @@ def _met(scene: Scene, particles: Particles, name: str, body: str, steps: list[t
         yield f"{carries} out of the world{when}: is that meant? Else enlarge world.size, or let it move less"
     for other in scene.boundaries:
         obstacle: Any = boundary(scene, other)
-        if obstacle.is_obstacle and (when := first(lambda x, it=obstacle: _inside(it, x, size))):
+        if obstacle.is_obstacle and (when := first(lambda x, it=obstacle: held_by(it, x, size))):
             yield (
                 f"{carries} into the obstacle `{other}`{when}: a boundary that moves does not give way, so the body is "
                 "crushed there; let it move less, or move one of them"
@@ -102,5 +111,5 @@ def _held_elsewhere(scene: Scene, name: str, x: Array) -> Array:
     for other, chosen in scene.boundaries.items():
         spec: Any = boundary(scene, other)
         if other != name and chosen.name in HOLDS and not getattr(spec, "moves", False):
-            out |= _inside(spec, x, np.array(scene.world.size))
+            out |= held_by(spec, x, np.array(scene.world.size))
     return out

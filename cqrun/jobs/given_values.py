@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.build.model import Built, stable
+from cqrun.build.model import Built
+from cqrun.build.substep import stable
 from cqrun.design.params import Block, Params
 from cqrun.errors import SceneError, UsageError
 from cqrun.explain import listed, shown, suggest
@@ -118,7 +119,7 @@ class GivenValues:
 def require_stable(built: Built, values: dict[str, Array]) -> None:
     """Raise UsageError if values by path are not stable with the substep of a scene."""
     try:
-        least, needed = stable(built, values)
+        least, needed = stable(built.scene, built.particles, built.assembly, values)
     except SceneError as error:
         raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
     if built.model.dt > least.dt:

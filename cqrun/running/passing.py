@@ -41,6 +41,9 @@ TOUCH = 0.25
 FAR_ON_SURFACE = 1.0
 """Walls are thin, and gaps between them narrow [cells]."""
 
+FARTHEST = 2**19
+"""Cells from the middle particle beyond which all particles count as in one place; a run that blows up has such."""
+
 FAR = 4.0
 """Distance at rest from which parts of one body count as different matter [cells]."""
 
@@ -183,7 +186,8 @@ def _mixed(x: Array, X: Array, body: Array, dx: float) -> Array:
     """Return the particles (N,) as bool that share a cell, or touch one, with matter that is far away at rest."""
     out, dim = np.zeros(len(x), bool), x.shape[1]
     for shift in product((0.0, 0.5), repeat=dim):  # so that near pairs share a cell of one of the grids
-        cell = np.floor(x / dx + np.array(shift)).astype(np.int64)
+        places = np.nan_to_num(x / dx + np.array(shift))
+        cell = np.floor(np.clip(places - np.median(places, axis=0), -FARTHEST, FARTHEST)).astype(np.int64)
         cell -= cell.min(axis=0)
         number = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))
         order = np.argsort(number, kind="stable")

@@ -72,6 +72,11 @@ class Time(Spec):
         default="auto",
     )
 
+    stretch: float | None = Field(
+        description="Largest stretch for which auto makes substeps; that of clamps that pull a body if absent",
+        gt=1, default=None,
+    )  # fmt: skip
+
     @property
     def control_steps(self) -> int:
         """The number of control steps in the run."""

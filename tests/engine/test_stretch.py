@@ -10,11 +10,12 @@ from little_worlds import world
 
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel
-from cqrun.engine.reference.remarks import LIMIT, wave_stiffness
+from cqrun.engine.reference.remarks import LIMIT
 from cqrun.engine.reference.stretch import LEAST, WATCH, watch_stretch
 from cqrun.errors import RolloutError
 from cqrun.materials.fixed_corotated import FixedCorotatedKernel
 from cqrun.materials.neo_hookean import NeoHookeanKernel
+from cqrun.materials.waves import wave_stiffness
 
 E, NU, DENSITY, DX = 1e5, 0.3, 1000.0, 0.1
 LAM, MU = E * NU / ((1 + NU) * (1 - 2 * NU)), E / (2 * (1 + NU))

@@ -1,10 +1,7 @@
 """What a user should know of deformations: a substep that is too long, material that is inverted, bodies pulled far.
 
-The substep must be short enough for the fastest wave. A wave along N (a direction at rest) crosses a cell at rest in
-
-    dx sqrt(rho / q),    q the largest eigenvalue of Q_ik = sum_JL dP_iJ/dF_kL N_J N_L    (the acoustic tensor)
-
-So a squeezed neo-Hookean body needs shorter substeps, but a fixed corotated one only if it is stretched. LIMIT was
+The substep must be short enough for the fastest wave (materials/waves.py). So a squeezed neo-Hookean body needs shorter
+substeps, but a fixed corotated one only if it is stretched. LIMIT was
 measured by power iteration on bodies with the same F everywhere: the largest stable substep was 1.08 to 1.22 of that
 time, at stretches from 0.3 to 3, for both laws with nu 0.3 and 0.45; 1.22 where one direction is much stiffer, as it is
 where this matters.
@@ -12,14 +9,14 @@ where this matters.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cqrun.engine.reference.stretch import COLUMN, FIRST, LEAST, MATRIX, MOST, STEP, VALUE, VOLUME
 from cqrun.engine.suspects import driver_at, place_of
-from cqrun.materials.term import has_history, kirchhoff
+from cqrun.materials.waves import wave_stiffness
 from cqrun.plugin.contract import Array
 
 ReferenceRollout = Any
@@ -36,12 +33,6 @@ FAR = 5.0
 
 WILDEST = 100.0
 """Volume ratio below zero from which a run has blown up."""
-
-DIRECTIONS = 200
-"""Directions N that are tried."""
-
-DIFFERENCE = 1e-6
-"""Of F, for slopes, in parts of its least stretch."""
 
 
 class Noted(NamedTuple):
@@ -146,42 +137,3 @@ def _limit(rollout: ReferenceRollout, body: int, particle: int, F: Array) -> flo
     q = wave_stiffness(terms, [theta[:, 0] for theta in thetas], F)
     density = fields.mass[particle] / fields.volume[particle]
     return float(LIMIT * model.dx * np.sqrt(density / q)) if q > 0 else float("inf")
-
-
-def wave_stiffness(terms: Sequence[Any], thetas: Sequence[Array], F: Array) -> float:
-    """Return the largest eigenvalue of the acoustic tensor [Pa] of a material at F (D, D); 0 if it is not finite.
-
-    Args:
-        terms: kernels' views of the terms of a stress. Those with a history are left out.
-        thetas: the parameters of each at one particle.
-    """
-    dim, h = len(F), DIFFERENCE * float(np.linalg.svd(F, compute_uv=False).min())
-
-    def P(F: Array) -> Array:
-        flat, tau = tuple(F.ravel().tolist()), np.zeros(dim * dim)
-        for term, theta in zip(terms, thetas, strict=True):
-            if not has_history(type(term)):
-                tau += np.array(kirchhoff(term, tuple(theta.tolist()), flat, (0.0,) * dim**2), float)
-        return np.asarray(tau.reshape(dim, dim) @ np.linalg.inv(F).T)
-
-    A = np.zeros((dim, dim, dim, dim))
-    for k in range(dim):
-        for L in range(dim):
-            change = np.zeros((dim, dim))
-            change[k, L] = h
-            A[:, :, k, L] = (P(F + change) - P(F - change)) / (2.0 * h)
-    if not np.isfinite(A).all():
-        return 0.0
-    N = _directions(dim)
-    Q = np.einsum("iJkL,nJ,nL->nik", A, N, N)
-    return float(np.linalg.eigvalsh(0.5 * (Q + Q.transpose(0, 2, 1))).max())
-
-
-def _directions(dim: int) -> Array:
-    """Return unit vectors (n, D) that are spread evenly over half a circle or a sphere."""
-    k = np.arange(DIRECTIONS)
-    if dim == 2:
-        return np.stack([np.cos(np.pi * k / DIRECTIONS), np.sin(np.pi * k / DIRECTIONS)], axis=1)
-    z = 1.0 - (2.0 * k + 1.0) / DIRECTIONS
-    turn = k * np.pi * (3.0 - np.sqrt(5.0))
-    return np.stack([np.sqrt(1.0 - z * z) * np.cos(turn), np.sqrt(1.0 - z * z) * np.sin(turn), z], axis=1)
