@@ -10,10 +10,13 @@ import numpy as np
 from cqrun.build.history import fields_of
 from cqrun.build.volumes import can_average
 from cqrun.errors import Problem
-from cqrun.materials.curves import stable_to
+from cqrun.materials.curves import nominal_slope, stable_to
 from cqrun.materials.moduli import moduli_of
 from cqrun.scene.material import Material, RegionMaterial
 from cqrun.scene.schema import Scene
+
+BEFORE = 0.995
+"""Part of the stretch at which a law fails, where its slope tells why: no force beyond it, or one without bound."""
 
 STABLE = 2.0
 """A law that loses stability below this stretch is warned about: soft robots stretch so far."""
@@ -67,13 +70,17 @@ def _unstable(material: Material | RegionMaterial) -> Iterator[tuple[str, str]]:
     law: Any = elastic.value
     if moduli_of(law) is None:
         return
-    stable = stable_to(law, np.array([getattr(law, name) for name in law.parameters]))
+    theta = np.array([getattr(law, name) for name in law.parameters])
+    stable = stable_to(law, theta)
     mode, end = min(stable.items(), key=lambda item: item[1])
     if end < STABLE:
+        first, last = nominal_slope(law, theta, mode, np.array([1.0, BEFORE * end]))
+        fails = "gives way at once" if last < first else "cannot be: its stress grows without bound there"
+        what = "has its largest force" if last < first else "reaches its limit"
         yield (
             f"elastic.{elastic.name}",
-            f"has its largest force in {mode} tension at a stretch of {end:.3g}: a body that is stretched farther "
-            "gives way at once; check the numbers, or keep below that stretch",
+            f"{what} in {mode} tension at a stretch of {end:.3g}: a body that is stretched farther "
+            f"{fails}; check the numbers, or keep below that stretch",
         )
 
 

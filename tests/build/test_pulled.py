@@ -10,6 +10,7 @@ from little_worlds import needs_jit
 
 from cqrun.build.model import Built, build
 from cqrun.engine.frames import make_rollout
+from cqrun.errors import RolloutError
 from cqrun.materials.waves import nominal, pulled, wave_stiffness
 from cqrun.plugin.registry import plugins
 from cqrun.scene.load import load_scene
@@ -53,6 +54,16 @@ def test_auto_steps_hold_for_a_bar_that_is_pulled_to_three_times_its_length(law)
 
 def test_a_small_pull_needs_no_other_steps():
     assert bar("yeoh", 0.015).model.substeps == bar("yeoh", 0.0).model.substeps
+
+
+@needs_jit
+def test_a_law_beyond_its_limit_is_told_where_it_is_stretched_most(monkeypatch):
+    monkeypatch.setitem(LAWS, "gent", {"mu": 5e4, "jm": 1.0, "poissons_ratio": 0.3})
+    built = bar("gent", 0.1, substeps=150)
+    with pytest.raises(RolloutError, match="has no stress from I1b - 3 = jm on") as error:
+        make_rollout(built.model, built.assembly.inputs({})).run()
+    assert error.value.particle is not None
+    assert 0.035 < built.particles.x[error.value.particle, 0] < 0.095
 
 
 @pytest.mark.parametrize("frame", ["reference", "updated"])

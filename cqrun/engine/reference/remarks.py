@@ -79,6 +79,12 @@ def why_it_failed(rollout: ReferenceRollout) -> str:
     return "; ".join(seen)
 
 
+def most_stretched(rollout: ReferenceRollout) -> int:
+    """Return the particle that was stretched most before a run blew up; -1 if none was seen."""
+    column = int(rollout.bundle.least[MOST, COLUMN])
+    return -1 if column < 0 else int(rollout.model.layout.sources()[column])
+
+
 def _pulled(rollout: ReferenceRollout, far: float) -> Iterator[str]:
     """Yield a question about the body that is stretched most, if it is stretched beyond `far`."""
     most = max(_noted(rollout), key=lambda each: float(each.stretches[-1]), default=None)

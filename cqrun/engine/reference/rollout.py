@@ -27,7 +27,7 @@ from cqrun.engine.reference.placing import note_all_poses
 from cqrun.engine.reference.points import riding_points
 from cqrun.engine.reference.poses import glue
 from cqrun.engine.reference.reactions import Reactions, make_reactions, reactions_by_name, rows_of_impulses
-from cqrun.engine.reference.remarks import remarks_on, why_it_failed
+from cqrun.engine.reference.remarks import most_stretched, remarks_on, why_it_failed
 from cqrun.engine.reference.rest import rest_geometry
 from cqrun.engine.reference.rigid import meeting_error, poses_by_name, put_start
 from cqrun.engine.reference.setting import TILE, NodeRun, Nodes, NodeSetting, PointLoads, Tiles
@@ -325,6 +325,8 @@ class ReferenceRollout(Rollout):
     def _fail(self, step: int, q: Array) -> None:
         look(self.bundle, q[0], q[1], Crew(0, 1))
         x = State.unpack(self.bundle.q, self.model.layout, np.zeros(0)).x
-        particle = int(np.flatnonzero(~np.isfinite(x).all(axis=1))[0])
+        lost = np.flatnonzero(~np.isfinite(x).all(axis=1))
+        worst = most_stretched(self)  # what blows up takes the whole body with it within a few substeps
+        particle = worst if worst in lost else int(lost[0])
         advice = f"the simulation blew up: {why_it_failed(self)}"
         self._report(particle, step, "its position is not finite", self._with_limit(advice, particle))
