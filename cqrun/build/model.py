@@ -80,7 +80,6 @@ def build(scene: Scene) -> Built:
         *unit_questions(scene),
         *_unused_episodes(scene),
         *_plugin_warnings(scene),
-        *locking_bodies(scene),
         *design_warnings(scene, particles),
     ]
     warnings += [*_truths_out_of_reach(scene), *_loose_constraints(scene)]
@@ -92,6 +91,7 @@ def build(scene: Scene) -> Built:
         raise SceneError(problems)
     surface, obstacles, meeting, conditions, rigid = contact_parts(scene, particles, assembly, conditions)
     rasters = {name: rasterised(body, scene.world.dx) for name, body in scene.bodies.items()}
+    warnings += locking_bodies(scene, rasters)
     warnings += [*grid_warnings(scene, particles, conditions, rasters), *alignment_warnings(scene, particles)]
     warnings += route_warnings(scene, particles, assembly.actuation.every)
     offset = grid_offset(scene, particles)
