@@ -8,6 +8,7 @@ from cqrun.errors import DataError
 from cqrun.plugin.contract import Array
 from cqrun.tensile.columns import OPTICAL
 from cqrun.tensile.curve import Curve, Given
+from cqrun.tensile.failure import without_failure, without_glitches
 from cqrun.tensile.slack import LARGEST, SMALLEST, find_slack
 
 FEWEST = 3
@@ -15,10 +16,6 @@ FEWEST = 3
 
 RESTART, RESTARTED = 0.3, 0.2
 """The strain starts again if it falls by the first part of its largest value in one line, to below the second."""
-
-DROP, EARLY = 0.10, 0.05
-"""A fall of the stress by this part of what it was, under growing strain, is slip or failure; not before the stress has
-reached the second part of its largest value, because small forces are noisy."""
 
 BACK = 0.005
 """Strain that falls by this part of its range is unloading, and less is noise."""
@@ -36,7 +33,7 @@ def clean(curve: Curve, given: Given) -> Curve:
     _require_signs(curve)
     curve = _first_loading(curve, given)
     if given.unloading == "cut":
-        curve = _without_failure(curve)
+        curve = without_failure(without_glitches(curve))
     curve = _taut(curve, given)
     if given.span is not None:
         low, high = given.span
@@ -97,36 +94,6 @@ def _require_signs(curve: Curve) -> None:
             f"{curve.source}: the stress is {signs[0]} where the strain is {signs[1]}: tension has two positive "
             "numbers, compression two negative ones. If this is a compression test, give --compression"
         )
-
-
-def _without_failure(curve: Curve) -> Curve:
-    """Return the curve up to where its stress suddenly falls although the strain grows."""
-    strain, stress = np.abs(curve.stretch - 1.0), np.abs(curve.stress)
-    if np.any(curve.stretch < 1.0 - SMALLEST) and np.any(curve.stretch > 1.0 + SMALLEST):
-        return curve  # tension and compression in one curve: the stress passes zero
-    peak = np.maximum.accumulate(stress)
-    at_peak = np.maximum.accumulate(np.where(stress == peak, np.arange(len(stress)), 0))
-    falls = (stress < (1.0 - DROP) * peak) & (strain >= strain[at_peak]) & (peak > EARLY * stress.max())
-    if not falls.any():
-        return curve
-    first = int(np.argmax(falls))
-    last = int(at_peak[first])
-    after, fall = len(stress) - last - 1, f"{_fall(peak, stress, last):.0%}"
-    there = f"at strain {strain[last]:.3g} (line {curve.line[last]}) the stress falls by {fall}"
-    if stress[first:].max() > peak[first]:
-        what = f"{there} and grows again: the specimen slips in its grips; the {after} points after it are not used"
-    else:
-        what = f"{there}: the specimen fails; {after} points after it removed"
-    return curve.at(slice(0, last + 1), what)
-
-
-def _fall(peak: Array, stress: Array, last: int) -> float:
-    """Return by which part the stress falls after its peak, before it grows again."""
-    after = stress[last:]
-    rises = np.flatnonzero(np.diff(after) > 0.0)
-    rises = rises[rises > 0]
-    lowest = after[: rises[0] + 1].min() if rises.size else after.min()
-    return float(1.0 - lowest / peak[last])
 
 
 def _first_loading(curve: Curve, given: Given) -> Curve:
