@@ -30,7 +30,8 @@ class Tested:
         """Return what a terminal shows."""
         lines = [] if self.material is None else list(table(self.material))
         for relaxation in self.relaxations:
-            lines += ["", *relaxation.sentences()]
+            head, *known = relaxation.sentences()
+            lines += ["", head, *(f"  {remark}" for remark in relaxation.curve.remarks), *known]
         if len(self.relaxations) > 1:
             lines.append(f"{YAML} has the branches of {self.relaxations[0].curve.source}")
         lines += about_long_term(self.material, self.relaxations)

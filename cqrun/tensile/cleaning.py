@@ -27,7 +27,7 @@ def clean(curve: Curve, given: Given) -> Curve:
     Raises:
         DataError: too few points, two tests in one file, or signs that contradict each other.
     """
-    curve = _without_gaps(curve)
+    curve = without_gaps(curve, np.isfinite(curve.stretch) & np.isfinite(curve.stress))
     require_points(curve)
     require_one_test(curve)
     _require_signs(curve)
@@ -44,8 +44,8 @@ def clean(curve: Curve, given: Given) -> Curve:
     return curve
 
 
-def _without_gaps(curve: Curve) -> Curve:
-    seen = np.isfinite(curve.stretch) & np.isfinite(curve.stress)
+def without_gaps(curve: Curve, seen: Array) -> Curve:
+    """Return the points of a curve that were seen (n,), with a remark on the others."""
     gaps = int((~seen).sum())
     if not gaps:
         return curve

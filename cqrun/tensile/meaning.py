@@ -60,9 +60,12 @@ def choose(table: Table, rows: Sequence[int], columns: Mapping[str, str], units:
         times = _unit_of_strain(table, strain, units, read, known, remarks)
         values[strain.role] = read[strain.place] * times
     if time is not None:
-        values["time"] = read[time.place] * (factor("time", units.get("time", time.unit or "s")) or 1.0)
+        values["time"] = read[time.place] * _unit_of_time(table, time, units, remarks)
     used = [column for column in (strain, stress) if column is not None]
-    remarks.insert(0, "read as " + " and ".join(f"{_words(c.role)}: column {c.label}" for c in used))
+    said = [f"{_words(c.role)}: column {c.label}" for c in used]
+    if time is not None:
+        said.append(f"time: column {time.label} in {units.get('time', time.unit or 's')}")
+    remarks.insert(0, "read as " + " and ".join(said))
     return Chosen(strain, stress, values, tuple(remarks))
 
 
@@ -136,12 +139,24 @@ def _unit(table: Table, column: Column, units: Mapping[str, str]) -> float:
         raise UsageError(f"--unit {column.role}={unit}: the units of a {kind} are {listed(UNITS[kind])}")
     if times is None:
         has = f"the unit '{unit}', which is not one of a {kind}" if unit else "no unit"
-        example = {"stress": "MPa", "force": "N", "length": "mm"}[kind]
+        example = {"stress": "MPa", "force": "N", "length": "mm", "time": "min"}[kind]
         raise DataError(
             f"{table.source}: column {column.label}, the {_words(column.role)}, has {has}: give it, such as "
             f"--unit {column.role}={example} ({listed(UNITS[kind])})"
         )
     return times
+
+
+def _unit_of_time(table: Table, column: Column, units: Mapping[str, str], remarks: list[str]) -> float:
+    """Return the factor to seconds of the time; a time without a unit is in seconds, and that is told.
+
+    Raises:
+        DataError: its unit is not known. UsageError: the unit that was given does not exist.
+    """
+    if column.unit or "time" in units:
+        return _unit(table, column, units)
+    remarks.append("the time has no unit and is read as seconds; if it is in minutes, give --unit time=min")
+    return 1.0
 
 
 def _unit_of_strain(

@@ -19,14 +19,18 @@ import numpy as np
 
 from cqrun.errors import DataError
 from cqrun.plugin.contract import Array
+from cqrun.tensile.cleaning import without_gaps
 from cqrun.tensile.curve import Curve
+
+FEWEST = 8
+"""A relaxation test has so many points."""
 
 MOST_BRANCHES = 5
 PER_DECADE = 6
 """Times of the grid in a decade."""
 
 HELD, HOLDS = 0.02, 0.5
-"""The strain is held where it differs from its last value by less than the first part, for most of the time."""
+"""The strain is held where it differs by less than the first part from where it stays longest, for most of the time."""
 
 FALLS = 0.01
 """A stress that falls by less than this part while the strain is held shows no relaxation."""
@@ -114,24 +118,46 @@ class Relaxation:
 
 def is_relaxation(curve: Curve) -> bool:
     """Return whether the strain of a test is held for most of its time while the stress falls."""
-    if curve.time is None or len(curve.stress) < 8 or not np.isfinite(curve.time).all():
+    if curve.time is None:
         return False
     if not np.isfinite(curve.stretch).any():
-        return True  # time and force alone
+        return bool(np.sum(np.isfinite(curve.time) & np.isfinite(curve.stress)) >= FEWEST)  # time and force alone
+    curve = curve.at(_seen(curve))
     time = np.asarray(curve.time)
-    if np.any(np.diff(time) < 0.0):
+    if len(time) < FEWEST or np.any(np.diff(time) < 0.0):
         return False
-    start = _held_from(curve)
-    held = time[-1] - time[start]
-    fallen = 1.0 - abs(curve.stress[-1]) / max(float(np.abs(curve.stress[start:]).max()), 1e-300)
-    return bool(held > HOLDS * np.ptp(time) and (fallen > FALLS or start == 0))
+    held = _held(curve)
+    stress = np.abs(curve.stress[held])
+    fallen = 1.0 - stress[-1] / max(float(stress.max()), 1e-300)
+    return bool(np.ptp(time[held]) > HOLDS * np.ptp(time) and (fallen > FALLS or held.start == 0))
 
 
-def _held_from(curve: Curve) -> int:
-    """Return the first point from which on the strain is held."""
-    strain = curve.stretch - 1.0
-    away = np.abs(strain - strain[-1]) > HELD * abs(strain[-1])
-    return int(len(away) - np.argmax(away[::-1])) if away.any() else 0
+def _seen(curve: Curve) -> Array:
+    """Return which points (n,) of a test with times have all their numbers."""
+    return np.isfinite(curve.stretch) & np.isfinite(curve.stress) & np.isfinite(np.asarray(curve.time))
+
+
+def _held(curve: Curve) -> slice:
+    """Return the points at which the strain is held: after the ramp, and before the specimen is let go."""
+    strain, level = curve.stretch - 1.0, _level(curve)
+    near = np.abs(strain - level) <= HELD * abs(level)
+    end = int(np.flatnonzero(near)[-1]) + 1
+    away = np.flatnonzero(~near[:end])
+    return slice(int(away[-1]) + 1 if away.size else 0, end)
+
+
+def _level(curve: Curve) -> float:
+    """Return the strain at which the specimen stays longest, among the large ones."""
+    strain, lasts = curve.stretch - 1.0, np.gradient(np.asarray(curve.time))
+    largest = float(np.abs(strain).max())
+    high = np.abs(strain) >= 0.5 * largest
+    bins = np.round(strain / (HELD * largest or 1.0))
+    there, place = np.unique(bins[high], return_inverse=True)
+    longest = there[np.argmax(np.bincount(place, lasts[high]))]
+    near = np.flatnonzero(np.abs(bins - longest) <= 1.0)
+    near = near[np.argsort(strain[near])]
+    passed = np.cumsum(lasts[near])
+    return float(strain[near][np.searchsorted(passed, 0.5 * passed[-1])])
 
 
 def fit_relaxation(curve: Curve) -> Relaxation:
@@ -142,37 +168,53 @@ def fit_relaxation(curve: Curve) -> Relaxation:
     """
     known = bool(np.isfinite(curve.stretch).any())
     curve = _whole(curve)
-    start, time = _held_from(curve), np.asarray(curve.time)
+    level = _level(curve)
+    if level == 0.0:
+        raise DataError(f"{curve.source}: the strain is zero at all points: is it the right column? --column strain=N")
+    held = _held(curve)
+    curve = _until_let_go(curve, held)
+    start, time = held.start, np.asarray(curve.time)
     fallen = 1.0 - curve.stress[-1] / curve.stress[start:].max()
     if fallen < FALLS:
         raise DataError(
             f"{curve.source}: the stress falls by {fallen:.1%} while the strain is held: no relaxation can be told; "
             "hold it longer, or start the recording before the strain is reached"
         )
-    strain = (curve.stretch - 1.0) / (curve.stretch[-1] - 1.0)
     interval, length = float(np.median(np.diff(time[start:]))), float(time[-1] - time[start])
     shortest = SAMPLES * float(min(interval, np.diff(time[start:])[:5].mean()))
     grid = np.geomspace(shortest, length, max(8, int(PER_DECADE * np.log10(max(length / shortest, 10.0)))))
-    best = _branches(curve, strain, grid)
-    stress, moduli, long_term = best
-    findings = _findings(moduli[1], shortest, length, curve)
-    held = float(curve.stretch[-1] - 1.0) if known else None
-    return Relaxation(curve, held, float(time[start]), Prony(*moduli), stress, long_term, tuple(findings))
+    stress, moduli, long_term = _branches(curve, (curve.stretch - 1.0) / level, grid)
+    findings = _findings(moduli[1], shortest, length, known)
+    return Relaxation(
+        curve, level if known else None, float(time[start]), Prony(*moduli), stress, long_term, tuple(findings)
+    )
 
 
 def _whole(curve: Curve) -> Curve:
     """Return a curve without gaps, in tension, from time 0 on; a missing strain is one that jumps at the start."""
-    assert curve.time is not None
+    if curve.time is None:
+        raise DataError(f"{curve.source}: a relaxation test needs times: say which column has them, as --column time=1")
     if not np.isfinite(curve.stretch).any():
         peak = int(np.nanargmax(np.abs(curve.stress)))
-        curve = replace(curve, stretch=np.full(len(curve.stress), 1.1)).at(slice(peak, None))
-    seen = np.isfinite(curve.stretch) & np.isfinite(curve.stress) & np.isfinite(np.asarray(curve.time))
-    curve = curve.at(seen)
+        what = [f"{peak} points before the largest force are not used"] if peak else []
+        curve = replace(curve, stretch=np.full(len(curve.stress), 1.1)).at(slice(peak, None), *what)
+    curve = without_gaps(curve, _seen(curve))
     time: Array = curve.time if curve.time is not None else np.zeros(0)
-    if len(curve.stress) < 8 or np.any(time[1:] <= time[:-1]):
+    if len(curve.stress) < FEWEST or np.any(time[1:] <= time[:-1]):
         raise DataError(f"{curve.source}: a relaxation test needs eight points or more, at times that grow")
-    sign = 1.0 if curve.stress[-1] >= 0.0 else -1.0
+    sign = 1.0 if np.median(curve.stress) >= 0.0 else -1.0
     return replace(curve, stress=sign * curve.stress, time=time - time[0])
+
+
+def _until_let_go(curve: Curve, held: slice) -> Curve:
+    """Return the curve up to where its strain is not held any more."""
+    after = len(curve.stress) - held.stop
+    if not after:
+        return curve
+    return curve.at(
+        slice(0, held.stop),
+        f"{after} points after the hold removed: from line {curve.line[held.stop]} on the strain is not held any more",
+    )
 
 
 def branch(time: Array, strain: Array, relaxation: float) -> Array:
@@ -257,8 +299,14 @@ def _refined(curve: Curve, strain: Array, times: Array, grid: Array) -> tuple[Ar
     return np.exp(logs), parts, stress
 
 
-def _findings(times: Array, shortest: float, length: float, curve: Curve) -> list[str]:
+def _findings(times: Array, shortest: float, length: float, known: bool) -> list[str]:
     found = []
+    if not known:
+        found.append(
+            "the file has no strain, so the strain counts as reached at once, at the largest force: what relaxes while "
+            "the specimen is pulled is missing in the branches, and the instantaneous modulus is too small; record the "
+            "strain or the extension, too"
+        )
     if np.any(times < 1.05 * shortest):
         found.append(
             f"a branch is faster than the test can tell ({shortest:.2g} s, three intervals between points): what "

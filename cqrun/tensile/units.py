@@ -19,9 +19,19 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "strain": {
         "%": 1e-2, "1": 1.0, "-": 1.0, "mm/mm": 1.0, "m/m": 1.0, "in/in": 1.0, "percent": 1e-2,
     },
-    "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0},
+    "time": {"s": 1.0, "min": 60.0, "h": 3600.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "day": 86400.0},
 }  # fmt: skip
 """Factor to SI by kind of quantity and unit."""
+
+SPELLINGS: Mapping[str, str] = {
+    **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden", "seconde", "secondes"), "s"),
+    **dict.fromkeys(("mins", "minute", "minutes", "minuten"), "min"),
+    **dict.fromkeys(("hr", "hrs", "hour", "hours", "std", "stunde", "stunden", "heure", "heures"), "h"),
+    **dict.fromkeys(("msec", "millisecond", "milliseconds", "millisekunden"), "ms"),
+    **dict.fromkeys(("usec", "microsecond", "microseconds", "mikrosekunden"), "us"),
+    **dict.fromkeys(("days", "tage", "jours"), "day"),
+}
+"""Units of time in words, in lower case."""
 
 
 def tidy(unit: str) -> str:
@@ -37,6 +47,7 @@ def factor(kind: str, unit: str) -> float | None:
     Machines write `MPA` and `Sec`, too: capitals count only where they would decide.
     """
     known, unit = UNITS[kind], tidy(unit)
+    unit = SPELLINGS.get(unit.lower().rstrip("."), unit)
     if unit in known:
         return known[unit]
     similar = [value for name, value in known.items() if name.lower() == unit.lower()]

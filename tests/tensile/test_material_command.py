@@ -115,6 +115,7 @@ def test_a_relaxation_test_gives_branches(tmp_path):
     scene = load_scene(scene_with({"density": 1070, "file": str(tmp_path / "material.yaml")}))
     assert scene.bodies["beam"].material.terms["prony"].times == pytest.approx((4.0, 40.0), rel=0.01)
     assert "they are NOT converted" in done.output
+    assert "and time: column 1 'Time' in s\n  uniaxial, as the header says\nBranches" in done.output
 
 
 def test_a_relaxation_test_without_strain_claims_none(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_pulls import curve, pull, write
 
-from cqrun.errors import DataError
+from cqrun.errors import DataError, UsageError
 from cqrun.tensile.curve import Curve, Given
 from cqrun.tensile.laws import all_laws
 from cqrun.tensile.reading import read_curves
@@ -88,3 +88,82 @@ def test_time_and_force_alone_are_a_relaxation_test(tmp_path):
     assert is_relaxation(read)
     fit = fit_relaxation(read)
     assert (fit.prony.moduli, fit.prony.times) == (pytest.approx([0.25], rel=0.01), pytest.approx([5.0], rel=0.01))
+    assert "what relaxes while the specimen is pulled is missing in the branches" in fit.findings[0]
+
+
+def written(folder, made, unit="s", factor=1.0):
+    columns = {f"Time ({unit})" if unit else "Time": made.time / factor, "Strain (%)": 100 * (made.stretch - 1.0),
+               "Stress (kPa)": made.stress * 1e-3}  # fmt: skip
+    (read,) = read_curves(write(folder, columns, header=["Tensile relaxation"], name="relax.csv"), Given())
+    return read
+
+
+@pytest.mark.parametrize("column", ["stress", "stretch", "time"])
+def test_a_line_without_a_number_is_removed_and_the_test_still_relaxes(tmp_path, column):
+    made = relaxing([0.3, 0.15], [1.5, 60.0], TIME)
+    getattr(made, column)[[250, 399]] = np.nan
+    read = written(tmp_path, made)
+    assert is_relaxation(read)
+    fit = fit_relaxation(read)
+    assert fit.prony.moduli == pytest.approx([0.3, 0.15], rel=0.01)
+    assert "2 lines without numbers removed (first: line 253)" in fit.curve.remarks
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_return_of_the_crosshead_is_removed(tmp_path, sign):
+    held = relaxing([0.3, 0.15], [1.5, 60.0], TIME)
+    seconds = np.linspace(0.1, 20.0, 50)
+    back = HELD * np.maximum(0.0, 1.0 - seconds)
+    stretch = 1.0 + sign * np.r_[held.stretch - 1.0, back]
+    stress = sign * np.r_[held.stress, 0.9e5 * back - 200.0]
+    made = Curve("", "uniaxial", stretch, stress, np.arange(450), np.r_[TIME, 1000.0 + seconds])
+    read = written(tmp_path, made)
+    assert is_relaxation(read)
+    fit = fit_relaxation(read)
+    assert fit.prony.moduli == pytest.approx([0.3, 0.15], rel=0.01)
+    assert fit.strain == pytest.approx(sign * HELD)
+    assert "50 points after the hold removed: from line 403 on the strain is not held any more" in fit.curve.remarks
+
+
+def test_a_strain_that_overshoots_or_is_reached_slowly_is_held_where_it_stays():
+    made = relaxing([0.3], [5.0], np.linspace(0.0, 100.0, 500), ramp=60.0)
+    assert not is_relaxation(made)  # most of the time it is pulled
+    fit = fit_relaxation(made)
+    assert fit.held_from == pytest.approx(60.0, abs=2.0)
+    assert (fit.prony.moduli, fit.prony.times) == (pytest.approx([0.3], rel=0.01), pytest.approx([5.0], rel=0.01))
+    over = relaxing([], [], TIME)
+    over.stretch[195:205] *= 1.01
+    over = Curve(**{**vars(over), "stress": np.exp(-TIME / 5.0) + 1.0})
+    assert fit_relaxation(over).strain == pytest.approx(HELD)
+
+
+def test_tests_without_times_or_strain_are_refused(tmp_path):
+    made = relaxing([0.3], [5.0], np.linspace(0.0, 100.0, 50))
+    with pytest.raises(DataError, match=r"a relaxation test needs times.* --column time=1"):
+        fit_relaxation(Curve(**{**vars(made), "time": None}))
+    with pytest.raises(DataError, match="the strain is zero at all points"):
+        fit_relaxation(Curve(**{**vars(made), "stretch": np.ones(50)}))
+
+
+UNITS = {"min": 60.0, "Minutes": 60.0, "hr": 3600.0, "h": 3600.0, "ms": 1e-3, "µs": 1e-6, "us": 1e-6, "Sek.": 1.0}
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_units_of_time_are_known(tmp_path, unit):
+    made = relaxing([0.3], [5.0], np.linspace(0.0, 100.0, 100))
+    read = written(tmp_path, made, unit, UNITS[unit])
+    assert read.time == pytest.approx(made.time)
+    assert f"time: column 1 'Time' in {unit.replace('µ', 'u')}" in read.remarks[0]
+
+
+def test_a_time_without_a_known_unit_is_told_or_asked_for(tmp_path):
+    made = relaxing([0.3], [5.0], np.linspace(0.0, 100.0, 100))
+    assert any("the time has no unit and is read as seconds" in text for text in written(tmp_path, made, "").remarks)
+    with pytest.raises(
+        DataError, match=r"has the unit 'ticks', which is not one of a time: .* --unit time=min \(s, min"
+    ):
+        written(tmp_path, made, "ticks")
+    with pytest.raises(UsageError, match="--unit time=ticks: the units of a time are s, min, h"):
+        read_curves(tmp_path / "relax.csv", Given(units={"time": "ticks"}))
+    (read,) = read_curves(tmp_path / "relax.csv", Given(units={"time": "min"}))
+    assert read.time == pytest.approx(60.0 * made.time)
