@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cqrun.errors import DataError, UsageError
-from cqrun.explain import listed, suggest
+from cqrun.explain import cut, listed, suggest
 from cqrun.plugin.contract import Array
 from cqrun.store.formats.cells import Numbers
 from cqrun.tensile.columns import OPTICAL, ROLES, Column
@@ -53,8 +53,8 @@ def choose(table: Table, rows: Sequence[int], columns: Mapping[str, str], units:
     if stress is None or (strain is None and time is None):
         missing = "stress or force" if stress is None else "strain, stretch or extension"
         raise DataError(f"{table.source}: no column is recognised as {missing}; {_offer(table)}")
-    read = _numbers(table, rows, known)
     remarks: list[str] = []
+    read = _numbers(table, rows, known, remarks)
     values = {stress.role: read[stress.place] * _unit(table, stress, units)}
     if strain is not None:
         times = _unit_of_strain(table, strain, units, read, known, remarks)
@@ -118,11 +118,20 @@ def _words(role: str) -> str:
     return {"strain": "engineering strain", "stress": "engineering stress"}.get(role, role.replace("_", " "))
 
 
-def _numbers(table: Table, rows: Sequence[int], known: Sequence[Column]) -> dict[int, Array]:
-    """Return the values of the columns that have a role, by place."""
+def _numbers(table: Table, rows: Sequence[int], known: Sequence[Column], remarks: list[str]) -> dict[int, Array]:
+    """Return the values of the columns that have a role, by place; cells that are no numbers are told, and missing."""
     used = [column for column in known if column.role]
     numbers = Numbers([c.place for c in used], [f"column {c.label}" for c in used], table.separator, table.source)
-    values = np.array([numbers.row(table.rows[k].cells, table.rows[k].line) for k in rows])
+    words = {(k, column.place) for column in used for k in table.words(column, rows)}
+    cells = {k: list(table.rows[k].cells) for k in rows}
+    if words:
+        first, place = min(words)
+        count = f"{len(words)} cells are no numbers and count" if len(words) > 1 else "1 cell is no number and counts"
+        where = f"'{cut(cells[first][place])}' in line {table.rows[first].line}"
+        remarks.append(f"{count} as missing (first: {where})")
+    for k, place in words:
+        cells[k][place] = ""
+    values = np.array([numbers.row(cells[k], table.rows[k].line) for k in rows])
     numbers.finish()
     return {column.place: values[:, k] for k, column in enumerate(used)}
 

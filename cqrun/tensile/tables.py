@@ -1,7 +1,8 @@
 """Read the table of a testing machine's file: header, names, units, and the cells of each row.
 
-The table is the longest run of lines that have at least two numbers and the same number of cells. What stands before it
-is the header. Whatever separates the columns most consistently is the separator.
+The table is the longest run of lines that have at least two numbers and the same number of cells. A cell in it may be
+missing, or say that there is no number (`---`, `#VALUE!`). What stands before the table is the header. Whatever
+separates the columns most consistently is the separator.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ SEPARATORS = ("\t", ";", ",", "|", " ")
 """A blank stands for any number of blanks."""
 
 FEWEST_NUMBERS = 2
+_NO_NUMBER = re.compile(r"[^0-9a-z]+|#.*|[-+]?inf(inity)?|n[./]?a\.?|null|none|err(or)?|over(load|flow|range)|o\.?l\.?")
+"""What programs write, in lower case, where there is no number; more words than these are names or remarks."""
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+(?:[.,][0-9]*)*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 
@@ -59,10 +62,12 @@ class Table:
     def texts(self) -> list[Column]:
         """Return the columns whose cells are words."""
         some = self.rows[:: max(1, len(self.rows) // 50)]
-        return [
-            column for column in self.columns
-            if any(_is_word(row.cells[column.place]) for row in some if column.place < len(row.cells))
-        ]  # fmt: skip
+        return [column for column in self.columns if _are_words([row.cells[column.place] for row in some])]
+
+    def words(self, column: Column, rows: Sequence[int]) -> list[int]:
+        """Return the rows whose cell in a column of numbers is a word; none of a column of words."""
+        cells = [self.rows[k].cells[column.place] for k in rows]
+        return [] if _are_words(cells) else [k for k, cell in zip(rows, cells, strict=True) if _is_word(cell)]
 
 
 def read_table(path: Path) -> Table:
@@ -75,6 +80,7 @@ def read_table(path: Path) -> Table:
     lines = _text(path, source).splitlines()
     separator = max(SEPARATORS, key=lambda sign: _numbers_in_table(lines, sign))
     rows = [Row(number, _cells(line, separator)) for number, line in enumerate(lines, 1) if line.strip(' \t,;"|')]
+    _require_one_comma(rows, separator, source)
     first, last = _longest(rows)
     if last - first < 1:
         raise DataError(f"{source}: has no table of numbers: a test has lines with at least two numbers each")
@@ -84,20 +90,24 @@ def read_table(path: Path) -> Table:
             f"{source}:{later.line}: another table begins after line {table[-1].line}: one file is one specimen; write "
             "each table to a file of its own, and give all files together"
         )
-    _require_one_comma(rows[:first], table, separator, source)
     names, units, header = _names(rows[:first], len(table[0].cells))
     columns = tuple(column_of(k, name, unit) for k, (name, unit) in enumerate(zip(names, units, strict=True)))
     return Table(source, separator, header, columns, tuple(table))
 
 
-def _require_one_comma(before: Sequence[Row], table: Sequence[Row], separator: str, source: str) -> None:
-    """Raise a DataError if rows have more cells than there are names, because decimal commas separate them, too."""
-    names = [row.cells for row in before if sum(_is_word(cell) for cell in row.cells) >= FEWEST_NUMBERS]
-    cells = len(table[0].cells)
-    if separator == "," and names and len(names[-1]) < cells and all(map(str.isdigit, table[0].cells[1::2])):
+def _require_one_comma(rows: Sequence[Row], separator: str, source: str) -> None:
+    """Raise a DataError if most rows have more cells than there are names: decimal commas separate them, too."""
+    start = next((k for k, row in enumerate(rows) if _count(row.cells) >= FEWEST_NUMBERS), 0)
+    names = [row.cells for row in rows[:start] if sum(_is_word(cell) for cell in row.cells) >= FEWEST_NUMBERS]
+    if separator != "," or not names:
+        return
+    most = len(names[-1])
+    wide = [row for row in rows[start:] if _count(row.cells) == len(row.cells) > most and "." not in "".join(row.cells)]
+    if 2 * len(wide) > len(rows) - start:
         raise DataError(
-            f"{source}:{table[0].line}: has {cells} cells, but there are {len(names[-1])} names above: decimal commas "
-            "cannot be told from commas between columns; write decimals with a point, or semicolons between columns"
+            f"{source}:{wide[0].line}: has {len(wide[0].cells)} cells, but there are {most} names above: decimal "
+            "commas cannot be told from commas between columns; write decimals with a point, or semicolons between "
+            "columns"
         )
 
 
@@ -134,24 +144,47 @@ def _numbers_in_table(lines: Sequence[str], separator: str) -> int:
 def _longest(rows: Sequence[Row]) -> tuple[int, int]:
     """Return the longest run of rows that have numbers in at least two columns, and equally many cells.
 
-    A row whose numbers are missing (NaN) belongs to the run around it.
+    A row whose numbers are missing (NaN) belongs to the run around it, and so does a row with a word for a number
+    between two rows without.
     """
     best, start = (0, 0), 0
     while start < len(rows):
         end = start
         if _count(rows[start].cells) >= FEWEST_NUMBERS:
-            width = len(rows[start].cells)
-            while end < len(rows) and len(rows[end].cells) == width and _has_place(rows[end].cells):
+            while end < len(rows) and _continues(rows, start, end):
                 end += 1
         if end - start > best[1] - best[0]:
             best = (start, end)
         start = max(end, start + 1)
-    return best
+    first, last = best
+    while first > 0 and _is_like(rows[first - 1], rows[first]) and _has_no_words(rows[first - 1].cells):
+        first -= 1
+    return first, last
+
+
+def _continues(rows: Sequence[Row], start: int, k: int) -> bool:
+    """Return whether a row belongs to the run that starts before it."""
+    if not _is_like(rows[k], rows[start]):
+        return False
+    around = [*rows[k - 1 : k], *rows[k + 1 : k + 2]]
+    between = len(around) == 2 and all(_is_like(row, rows[start]) and _has_place(row.cells) for row in around)
+    return _has_place(rows[k].cells) or (between and _count(rows[k].cells) > 0)
+
+
+def _is_like(row: Row, other: Row) -> bool:
+    return len(row.cells) == len(other.cells)
 
 
 def _has_place(cells: Sequence[str]) -> bool:
-    gaps = sum(cell.lower() in MISSING for cell in cells)
-    return _count(cells) + gaps >= FEWEST_NUMBERS and _count(cells) + gaps >= len(cells) - 2
+    return _count(cells) + _gaps(cells) >= max(FEWEST_NUMBERS, len(cells) - 2)
+
+
+def _has_no_words(cells: Sequence[str]) -> bool:
+    return _count(cells) > 0 and _count(cells) + _gaps(cells) == len(cells)
+
+
+def _gaps(cells: Sequence[str]) -> int:
+    return sum(cell.lower() in MISSING or _NO_NUMBER.fullmatch(cell.lower()) is not None for cell in cells)
 
 
 def _count(cells: Sequence[str]) -> int:
@@ -160,6 +193,11 @@ def _count(cells: Sequence[str]) -> int:
 
 def _is_word(cell: str) -> bool:
     return cell.lower() not in MISSING and _NUMBER.fullmatch(cell) is None
+
+
+def _are_words(cells: Sequence[str]) -> bool:
+    """Return whether more cells are words than numbers; missing ones are neither."""
+    return sum(_is_word(cell) for cell in cells) > _count(cells)
 
 
 def _names(before: Sequence[Row], width: int) -> tuple[list[str], list[str], tuple[tuple[str, ...], ...]]:

@@ -190,6 +190,43 @@ def test_decimal_commas_between_commas_are_refused(tmp_path):
         read_curves(path, Given())
 
 
+@pytest.mark.parametrize("sign", ["---", "#VALUE!", "inf", "broken"])
+@pytest.mark.parametrize("place", [1, 15, 30])
+@pytest.mark.parametrize("more", [0, 2])
+def test_a_cell_that_is_no_number_is_missing_and_told(tmp_path, sign, place, more):
+    """Wherever it is, and whatever other columns there are; no row is lost without a remark."""
+    if sign == "broken" and place == 30:
+        place = 29  # in the last line a word may belong to what follows the table
+    stress = [f"{x * 1e-6:.9g}" for x in STRESS]
+    stress[place] = sign
+    columns = {f"Other {k}": STRAIN for k in range(more)}
+    columns |= {"Strain (%)": [f"{100 * x:.9g}" for x in STRAIN], "Stress (MPa)": stress}
+    curve = only_curve(write(tmp_path, columns, header=TENSILE))
+    assert len(curve.stress) == 31
+    assert np.flatnonzero(np.isnan(curve.stress)).tolist() == [place]
+    assert f"1 cell is no number and counts as missing (first: '{sign}' in line {place + 3})" in curve.remarks
+
+
+def test_the_first_row_belongs_to_the_table_although_its_stress_is_missing(tmp_path):
+    stress = ["---", "NaN", *(f"{x * 1e-6:.9g}" for x in STRESS[2:])]
+    curve = only_curve(write(tmp_path, {"Strain (%)": 100 * STRAIN, "Stress (MPa)": stress}, header=TENSILE))
+    assert curve.stretch == pytest.approx(1.0 + STRAIN)
+    assert np.isnan(curve.stress[:2]).all()
+
+
+def test_a_column_of_words_is_no_stress(tmp_path):
+    columns = {"Strain (%)": 100 * STRAIN, "Stress (MPa)": STRESS * 1e-6, "Other": ["a"] * 31}
+    with pytest.raises(DataError, match=r"pull\.csv:3:\d+: column 3 'Other' is 'a', which is not a number"):
+        read_curves(write(tmp_path, columns, header=TENSILE), Given({"stress": "3"}, {"stress": "MPa"}))
+
+
+def test_decimal_commas_between_commas_are_told_although_rows_differ(tmp_path):
+    path = tmp_path / "commas.csv"
+    path.write_text("Strain (%),Stress (MPa)\n0,0\n2,5,0,0286\n5,0,05471\n7,5,0,07877\n")
+    with pytest.raises(DataError, match=r"commas\.csv:3: has 4 cells, but there are 2 names above: decimal commas"):
+        read_curves(path, Given())
+
+
 @pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\0\0", b"only words\nin here\n"])
 def test_a_file_without_a_table_is_refused(tmp_path, content):
     path = tmp_path / "none.csv"
