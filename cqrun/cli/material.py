@@ -60,8 +60,12 @@ def material(
         str, typer.Option(metavar="STRAIN", help="Strain at which the specimen is taut; 0 if there is no slack.")
     ] = "auto",
     compression: Annotated[
-        bool, typer.Option("--compression", help="Strain and stress of compression are written without minus.")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--compression/--no-compression",
+            help="Strain and stress of compression are written without minus; if not given, the files decide.",
+        ),
+    ] = None,
     relaxation: Annotated[
         bool | None,
         typer.Option("--relaxation/--no-relaxation", help="The strain is held; if not given, the data decide."),

@@ -29,7 +29,8 @@ class Given:
         span: smallest and largest strain that count, or None.
         unloading: what to do with it.
         slack: strain at which the specimen is taut; None if the data decide.
-        compression: whether strain and stress of a compression test are written without their signs.
+        compression: whether strain and stress of a compression test are written without their signs; None if the file
+            decides.
         relaxation: whether the strain is held; None if the data decide.
     """
 
@@ -42,7 +43,7 @@ class Given:
     span: tuple[float, float] | None = None
     unloading: Literal["cut", "keep"] = "cut"
     slack: float | None = None
-    compression: bool = False
+    compression: bool | None = None
     relaxation: bool | None = None
 
     def of_file(self, name: str, source: str) -> Any:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,10 @@ MODE_WORDS: dict[Mode, re.Pattern[str]] = {
 _COMPRESSION = re.compile(
     r"compression test|test\W{0,3}compression|compressive|druckversuch|stauchung|d[ -]?575|iso[ -]?7743"
 )
+_COMPRESSED = re.compile(r"compress|stauch|druck(spannung|kraft|versuch|verformung|dehnung)")
+_PULLED = re.compile(r"tensi|zug|traction|pull")
+"""What names compression and tension in a column's name, in a cell that names the test, or in a file's name."""
+
 _LENGTH = re.compile(
     r"ga[u]?ge length|grip separation|clamp distance|specimen length|initial length|einspannl|messl|^l0$"
 )
@@ -51,6 +56,15 @@ APART = 0.02
 """Two statements of an area that differ by more than this part contradict each other."""
 
 
+@dataclass(frozen=True)
+class _Named:
+    """What the cells of a column say of a test."""
+
+    mode: Mode
+    compressed: bool
+    pulled: bool
+
+
 def read_curves(path: Path, given: Given) -> list[Curve]:
     """Return the curves in a file, as they were measured (cleaning.py cleans them).
 
@@ -59,11 +73,11 @@ def read_curves(path: Path, given: Given) -> list[Curve]:
         UsageError: an option is wrong.
     """
     table = read_table(path)
-    return [_curve(table, rows, mode, given) for mode, rows in _groups(table, given)]
+    return [_curve(table, rows, named, given) for named, rows in _groups(table, given)]
 
 
-def _groups(table: Table, given: Given) -> list[tuple[Mode | None, list[int]]]:
-    """Return the rows of each test, with its mode if a column names it."""
+def _groups(table: Table, given: Given) -> list[tuple[_Named | None, list[int]]]:
+    """Return the rows of each test, and what a column says of it."""
     rows = list(range(len(table.rows)))
     texts = {column.name or str(column.place + 1): column for column in table.texts()}
     for name, value in given.only.items():
@@ -74,9 +88,9 @@ def _groups(table: Table, given: Given) -> list[tuple[Mode | None, list[int]]]:
         rows = [k for k, cell in zip(rows, there, strict=True) if cell == value]
         if not rows:
             raise DataError(f"{table.source}: no row has '{value}' in '{name}'; there: {listed(dict.fromkeys(there))}")
-    modes: dict[Mode | None, list[int]] = {}
+    tests: dict[_Named | None, list[int]] = {}
     for name, column in texts.items():
-        words = {table.rows[k].cells[column.place]: _mode_in(table.rows[k].cells[column.place]) for k in rows}
+        words = {cell: _named(cell) for cell in dict.fromkeys(table.rows[k].cells[column.place] for k in rows)}
         if len(words) == 1 and None in words.values():
             continue
         if None in words.values():
@@ -85,28 +99,32 @@ def _groups(table: Table, given: Given) -> list[tuple[Mode | None, list[int]]]:
                 f"--only {name}={next(iter(words))}"
             )
         for k in rows:
-            modes.setdefault(words[table.rows[k].cells[column.place]], []).append(k)
-        return list(modes.items())
+            tests.setdefault(words[table.rows[k].cells[column.place]], []).append(k)
+        return list(tests.items())
     return [(None, rows)]
+
+
+def _named(text: str) -> _Named | None:
+    mode, words = _mode_in(text), text.lower()
+    return None if mode is None else _Named(mode, bool(_COMPRESSED.search(words)), bool(_PULLED.search(words)))
 
 
 def _mode_in(text: str) -> Mode | None:
     return next((mode for mode, pattern in MODE_WORDS.items() if pattern.search(text.lower())), None)
 
 
-def _curve(table: Table, rows: Sequence[int], mode: Mode | None, given: Given) -> Curve:
+def _curve(table: Table, rows: Sequence[int], named: _Named | None, given: Given) -> Curve:
     chosen = choose(table, rows, given.columns, given.units)
     header = list(facts(table))
     words = " ".join(" ".join(cells) for cells in table.header).lower()
     words += " " + " ".join(column.name.lower() for column in table.columns)
     remarks = list(chosen.remarks)
-    mode = mode or given.of_file("mode", table.source) or _mode_of(table, words, remarks)
+    mode = named.mode if named else given.of_file("mode", table.source) or _mode_of(table, words, remarks)
     stretch = _stretch(table, chosen, header, given, remarks)
     stress = _stress(table, chosen, stretch, header, given, remarks)
-    compressed = given.compression or bool(_COMPRESSION.search(words))
-    if compressed and (np.nanmedian(stretch) > 1.0 or np.nanmedian(stress) > 0.0):
+    positive = [bool(np.nanmedian(x) > 0.0) for x in (stretch - 1.0, stress) if np.isfinite(x).any()]
+    if any(positive) and (why := _compressed(table, chosen, words, named, given, all(positive))):
         stretch, stress = 1.0 - np.abs(stretch - 1.0), -np.abs(stress)
-        why = "as --compression says" if given.compression else "as the header says"
         remarks.append(f"this is a compression test, {why}: its strain and stress count as negative")
     if np.nanmin(stretch, initial=1.0) <= 0.0:
         raise DataError(f"{table.source}: a strain of {np.nanmin(stretch) - 1:.4g} turns the specimen inside out")
@@ -117,6 +135,30 @@ def _curve(table: Table, rows: Sequence[int], mode: Mode | None, given: Given) -
     lines = np.array([table.rows[k].line for k in rows])
     time = chosen.values.get("time")
     return Curve(table.source, mode, stretch, stress, lines, time, by, specimen, tuple(remarks))
+
+
+def _compressed(table: Table, chosen: Chosen, words: str, named: _Named | None, given: Given, positive: bool) -> str:
+    """Return what says that a test is a compression test whose signs are not written, or nothing.
+
+    Raises:
+        DataError: the file's name alone says so, and all is positive.
+    """
+    if given.compression is not None:
+        return "as --compression says" if given.compression else ""
+    if named is not None and (named.compressed or named.pulled):
+        return "as a column says" if named.compressed else ""
+    if _COMPRESSION.search(words):
+        return "as the header says"
+    columns = [column for column in (chosen.strain, chosen.stress) if column is not None]
+    if found := [column.label for column in columns if _COMPRESSED.search(column.name.lower())]:
+        return f"as the name of column {found[0]} says"
+    if positive and _COMPRESSED.search(table.source.lower()):
+        raise DataError(
+            f"{table.source}: the file's name says compression, but strain and stress are positive: give "
+            "--compression if they are written without minus signs (for all files of the command: beside tension "
+            "tests, write the signs), or --no-compression if this is a tension test"
+        )
+    return ""
 
 
 def _mode_of(table: Table, words: str, remarks: list[str]) -> Mode:

@@ -162,6 +162,57 @@ def test_percent_is_told_by_a_second_column(tmp_path):
     assert "the strain has no unit; it is percent, as another column confirms" in curve.remarks
 
 
+DOWN = np.linspace(0.02, 0.5, 25)
+PRESSED = -silicone(-DOWN)
+"""The stress [Pa] of a compression test without its sign."""
+
+
+@pytest.mark.parametrize(
+    ("columns", "header", "why"),
+    [
+        ({"Strain (%)": 100 * DOWN, "Stress (Pa)": PRESSED}, ["Type of test;Compression"], "the header says"),
+        (
+            {"Compression strain (%)": 100 * DOWN, "Stress (Pa)": PRESSED}, [],
+            "the name of column 1 'Compression strain' says",
+        ),
+        (
+            {"Dehnung (%)": 100 * DOWN, "Druckspannung (Pa)": PRESSED}, ["Norm;ISO 527"],
+            "the name of column 2 'Druckspannung' says",
+        ),
+        ({"test": ["compression"] * 25, "Strain (%)": 100 * DOWN, "Stress (Pa)": PRESSED}, [], "a column says"),
+    ],
+)  # fmt: skip
+def test_compression_without_signs_is_known_by_clear_words(tmp_path, columns, header, why):
+    path = write(tmp_path, columns, header=header)
+    curve = only_curve(path)
+    assert curve.stretch == pytest.approx(1.0 - DOWN)
+    assert curve.stress == pytest.approx(silicone(-DOWN), rel=1e-6)
+    assert f"this is a compression test, as {why}: its strain and stress count as negative" in curve.remarks
+    assert only_curve(path, Given(compression=False)).stretch == pytest.approx(1.0 + DOWN)
+
+
+@pytest.mark.parametrize("header", [[], TENSILE])
+def test_compression_in_the_name_of_a_file_alone_is_asked_for(tmp_path, header):
+    columns = {"Strain (%)": 100 * DOWN, "Stress (Pa)": PRESSED}
+    path = write(tmp_path, columns, header=header, name="silicone_compression.csv")
+    with pytest.raises(
+        DataError, match=r"silicone_compression\.csv: the file's name says compression.*--compression if"
+    ):
+        read_curves(path, Given())
+    assert only_curve(path, Given(compression=True)).stretch == pytest.approx(1.0 - DOWN)
+    assert only_curve(path, Given(compression=False)).stretch == pytest.approx(1.0 + DOWN)
+    signed = {"Strain (%)": -100 * DOWN, "Stress (Pa)": -PRESSED}
+    assert only_curve(write(tmp_path, signed, name=path.name)).stretch == pytest.approx(1.0 - DOWN)
+
+
+def test_tension_and_compression_in_a_column_are_two_tests(tmp_path):
+    columns = {"test": ["tension"] * 31 + ["compression"] * 25, "Strain (%)": 100 * np.r_[STRAIN, DOWN],
+               "Stress (Pa)": np.r_[STRESS, PRESSED]}  # fmt: skip
+    pulled, pressed = read_curves(write(tmp_path, columns, name="compression_and_tension.csv"), Given())
+    check(pulled)
+    assert pressed.stress == pytest.approx(silicone(-DOWN), rel=1e-6)
+
+
 def test_one_material_of_several_is_chosen(tmp_path):
     material = ["A"] * 31 + ["B"] * 5
     columns = {"material": material, "Strain (%)": np.r_[100 * STRAIN, np.ones(5)],
