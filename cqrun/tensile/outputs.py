@@ -37,6 +37,11 @@ def long_term(material: Material, relaxations: Sequence[Relaxation]) -> float | 
     return 1.0 / relaxations[0].prony.stiffening(float(np.median(known)))
 
 
+def _factor(material: Material, relaxations: Sequence[Relaxation]) -> float:
+    """Return the moduli that are written divided by those of the pull tests."""
+    return (long_term(material, relaxations) or 1.0) if relaxations else 1.0
+
+
 def about_long_term(material: Material | None, relaxations: Sequence[Relaxation]) -> list[str]:
     """Return a sentence on the moduli of a material with branches."""
     if material is None or not relaxations:
@@ -58,7 +63,7 @@ def fragment(material: Material | None, relaxations: Sequence[Relaxation] = ()) 
     found: dict[str, Any] = {}
     if material is not None:
         best = material.chosen
-        factor = (long_term(material, relaxations) or 1.0) if relaxations else 1.0
+        factor = _factor(material, relaxations)
         moduli = np.array([factor if parameter.is_modulus else 1.0 for parameter in best.law.parameters])
         fields = best.law.made(best.fit.values * moduli, material.ratio)
         found["elastic"] = {best.law.name: {name: float(f"{x:.{DIGITS}g}") for name, x in fields.items()}}
@@ -86,9 +91,12 @@ def fragment_text(material: Material | None, relaxations: Sequence[Relaxation] =
         lines.append(
             f"Law: {best.law.title}; {error}; stable in all three modes up to a stretch of {best.stable_to:.3g}"
         )
-        lines.append(f"At rest: mu = {_with_interval(moduli.shear, best.certainty.shear)}, E = {shown(moduli.young)}")
+        factor = _factor(material, relaxations)
+        when = "At rest" if factor == 1.0 else "At rest, after a long time"
+        shear = _with_interval(factor * moduli.shear, _times(best.certainty.shear, factor))
+        lines.append(f"{when}: mu = {shear}, E = {shown(factor * moduli.young)}")
         for parameter in best.law.parameters:
-            interval = best.certainty.intervals[parameter.name]
+            interval = _times(best.certainty.intervals[parameter.name], factor if parameter.is_modulus else 1.0)
             lines.append(f"{parameter.name}: 95 % interval {_interval(interval, modulus=parameter.is_modulus)}")
         if material.ratio == NU:
             lines.append(f"Poisson's ratio {NU} is not measured; 0.49 is often enough, and takes larger time steps")
@@ -104,7 +112,8 @@ def fragment_text(material: Material | None, relaxations: Sequence[Relaxation] =
 def as_json(material: Material | None, relaxations: Sequence[Relaxation] = ()) -> dict[str, Any]:
     """Return the content of material.json: the chosen law, all laws, and the tests; branches if a test relaxes.
 
-    The branches are those of the first relaxation test, as in material.yaml.
+    The branches are those of the first relaxation test, as in material.yaml. With branches, `laws` are as fitted to the
+    pull tests. `long_term` has the chosen law as in material.yaml, and the factor of its moduli, or null.
     """
     laws, pulled = ((), ()) if material is None else (material.laws, material.curves)
     curves: list[tuple[Curve, float | None]] = [(curve, float(curve.stretch.max())) for curve in pulled]
@@ -122,7 +131,15 @@ def as_json(material: Material | None, relaxations: Sequence[Relaxation] = ()) -
             for curve, stretch in curves
         ],
         **(relaxations[0].prony.fragment() if relaxations else {}),
+        **_long_term_part(material, relaxations),
     }
+
+
+def _long_term_part(material: Material | None, relaxations: Sequence[Relaxation]) -> dict[str, Any]:
+    if material is None or not relaxations:
+        return {}
+    elastic = fragment(material, relaxations)["elastic"]
+    return {"long_term": {"factor": long_term(material, relaxations), "elastic": elastic}}
 
 
 def _law(item: Judged) -> dict[str, Any]:
@@ -202,6 +219,10 @@ def _interval(interval: tuple[float, float] | None, *, modulus: bool) -> str:
         return "none"
     low, high = (shown(x) if modulus else f"{x:.4g}" for x in interval)
     return f"{low} to {high}"
+
+
+def _times(interval: tuple[float, float] | None, factor: float) -> tuple[float, float] | None:
+    return None if interval is None else (factor * interval[0], factor * interval[1])
 
 
 def _with_interval(value: float, interval: tuple[float, float] | None) -> str:

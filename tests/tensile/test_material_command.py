@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -144,6 +145,28 @@ def test_with_branches_the_moduli_are_the_long_term_ones(tmp_path):
         3e5, rel=1e-3
     )
     assert f"those of the pull test times {1 / factor:.3g}" in " ".join(made.lines())
+    told = json.loads((tmp_path / "material.json").read_text())
+    assert told["laws"]["neo_hookean"]["parameters"]["youngs_modulus"]["value"] == pytest.approx(factor * 3e5, rel=1e-3)
+    assert told["long_term"]["factor"] == pytest.approx(1.0 / factor, rel=1e-3)
+    assert told["long_term"]["elastic"] == read_fragment(tmp_path / "material.yaml")["elastic"]
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_the_comments_of_a_material_are_about_the_values_below_them(tmp_path, timed):
+    time, g = np.linspace(0.0, 200.0, 800), 0.5
+    columns = {"Time (s)": time, "Strain (%)": np.full(800, 50.0), "Stress (MPa)": 0.1 * (1 + g * np.exp(-time / 10))}
+    relaxation = write(tmp_path, columns, header=["Tensile relaxation"], name="relax.csv")
+    strain = np.linspace(0.0, 1.0, 60)
+    stress = silicone(strain) + 300.0 * np.random.default_rng(3).standard_normal(60)
+    columns = {"Time (s)": np.linspace(0.0, 20.0, 60)} if timed else {}
+    columns |= {"Strain (%)": 100 * strain, "Stress (MPa)": stress * 1e-6}
+    make_material([write(tmp_path, columns, header=["Tensile test"]), relaxation], laws=["neo_hookean"], out=tmp_path)
+    text = (tmp_path / "material.yaml").read_text()
+    young = read_fragment(tmp_path / "material.yaml")["elastic"]["neo_hookean"]["youngs_modulus"]
+    low, high = map(float, re.search(r"youngs_modulus: 95 % interval ([0-9.]+) kPa to ([0-9.]+) kPa", text).groups())
+    assert low < young / 1e3 < high < 1.05 * low
+    assert f"E = {young / 1e3:.4g} kPa" in text
+    assert ("At rest, after a long time: mu" in text) == timed
 
 
 BAD: dict[str, Sequence[str]] = {
