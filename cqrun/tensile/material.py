@@ -9,6 +9,7 @@ import numpy as np
 
 from cqrun.errors import DataError
 from cqrun.materials.curves import MODES, Mode
+from cqrun.tensile.agreement import contradictions
 from cqrun.tensile.choice import GOOD, Judged, chosen, judge, one_of_each
 from cqrun.tensile.columns import CROSSHEAD
 from cqrun.tensile.curve import Curve
@@ -78,7 +79,8 @@ def characterise(
     announce("comparing the laws")
     judged = judge(one_of_each(fits), curves)
     best = chosen(judged)
-    warnings = (*_sizes(curves), *weaknesses(best))
+    disagreement = contradictions(curves, laws, min(fit.rms for fit in fits))
+    warnings = (*_sizes(curves), *disagreement, *weaknesses(best, contradicted=bool(disagreement)))
     return Material(
         tuple(curves), tuple(fits), tuple(judged), best, ratio, warnings, tuple(_trust(curves, judged, best))
     )
@@ -105,8 +107,8 @@ def _sizes(curves: Sequence[Curve]) -> list[str]:
     return found
 
 
-def weaknesses(best: Judged) -> list[str]:
-    """Return warnings on the chosen law."""
+def weaknesses(best: Judged, *, contradicted: bool = False) -> list[str]:
+    """Return warnings on the chosen law; if tests contradict each other, that is why its modulus is vague."""
     found = []
     for mode, stretch in best.unstable_in.items():
         found.append(
@@ -114,7 +116,7 @@ def weaknesses(best: Judged) -> list[str]:
             "deformation (its nominal stress falls), and so is every other law: test other modes, or a smaller --range"
         )
     shear = best.certainty.shear
-    if shear is not None and shear[1] > VAGUE * shear[0]:
+    if not contradicted and shear is not None and shear[1] > VAGUE * shear[0]:
         found.append(
             "the modulus at rest is hardly determined: its 95 % interval ends at "
             f"{shear[1] / shear[0]:.3g} times where it begins, because the law misses the curve at small strains; fit "
@@ -156,7 +158,8 @@ def _trust(curves: Sequence[Curve], judged: Sequence[Judged], best: Judged) -> l
 
 def _spread(judged: Sequence[Judged], best: Judged, missing: Sequence[Mode]) -> str:
     """Return how much possible laws differ in the modes that were not tested."""
-    possible = [item for item in judged if item.fit.rms < max(GOOD, best.fit.rms) and not item.unstable_in]
+    limit = max(GOOD, best.fit.rms)
+    possible = [item for item in judged if item.fit.rms <= limit and not item.unstable_in]
     if len(possible) < 2:
         return ""
     parts = []
@@ -165,8 +168,11 @@ def _spread(judged: Sequence[Judged], best: Judged, missing: Sequence[Mode]) -> 
         stresses = np.array([item.law.stress(item.fit.values, mode, stretch) for item in possible])
         here = best.law.stress(best.fit.values, mode, stretch)
         apart = float(np.max(np.ptp(stresses, axis=0) / np.max(here)))
-        parts.append(f"{apart:.0%} of the largest stress in {mode}" if apart < 1.0 else f"more than it in {mode}")
-    return f"; the {len(possible)} laws that fit within {GOOD:.0%} differ there by up to {' and '.join(parts)}"
+        parts.append(f"{f'up to {apart:.0%}' if apart < 1.0 else 'more than 100%'} in {mode}")
+    return (
+        f"; the {len(possible)} laws that fit within {100.0 * limit:.3g}% differ there by {' and '.join(parts)}, "
+        "relative to the largest stress"
+    )
 
 
 def shown(value: float) -> str:

@@ -214,6 +214,36 @@ def test_several_specimens_are_fitted_together(tmp_path):
     assert high > 3.15e5
 
 
+def warned(made):
+    return [text for text in made.material.warnings if "contradict each other" in text]
+
+
+@pytest.mark.parametrize(("times", "told"), [(2.0, "2 times"), (1e-3, "0.001 times")])
+def test_files_that_contradict_each_other_are_warned_about(tmp_path, times, told):
+    strain = np.linspace(0.0, 2.0, 60)
+    files = [noisy(tmp_path), pull(tmp_path, strain, times * silicone(strain), name="other.csv")]
+    made = make_material(files, laws=["neo_hookean", "yeoh"], out=tmp_path)
+    (text,) = warned(made)
+    assert text.startswith(
+        "the files pull.csv, other.csv contradict each other: a law follows each of them alone within 2%"
+    )
+    assert f"at the same strains other.csv has {told} the stress of pull.csv" in text
+    assert not any("hardly determined" in warning for warning in made.material.warnings)
+    number, limit = re.search(
+        r"the (\d) laws that fit within ([0-9.]+)% differ", " ".join(made.material.trust)
+    ).groups()
+    assert float(limit) > 10.0
+    assert int(number) == sum(item.fit.rms < 0.0101 * float(limit) for item in made.material.laws) == 2
+
+
+def test_files_that_agree_or_that_no_law_follows_alone_do_not_contradict_each_other(tmp_path):
+    strain = np.linspace(0.0, 2.0, 60)
+    agree = [noisy(tmp_path), pull(tmp_path, strain, 1.05 * silicone(strain), name="other.csv")]
+    assert warned(make_material(agree, laws=["neo_hookean"], out=tmp_path)) == []
+    steep = pull(tmp_path, strain, 1e4 * np.expm1(2.0 * strain), name="steep.csv")
+    assert warned(make_material([agree[0], steep], laws=["neo_hookean"], out=tmp_path)) == []
+
+
 # --- real tests ---------------------------------------------------------------------------------------------------
 
 
@@ -232,6 +262,14 @@ def test_the_files_of_the_database_are_fitted_as_they_are(tmp_path, path):
     assert made.material.chosen.fit.rms < 0.02
     assert not made.material.chosen.unstable_in
     assert data.strain_by == "crosshead"
+
+
+@pytest.mark.skipif(not SIX, reason="the tests of the database are not here")
+def test_the_difference_of_laws_in_modes_that_were_not_tested_is_told_in_words(tmp_path):
+    path = DATA / "tensile" / "SOLOPLAST 150318.csv"
+    made = make_material([path], laws=["yeoh", "ogden", "neo_hookean"], out=tmp_path)
+    words = "the 2 laws that fit within 2% differ there by more than 100% in planar and more than 100% in equibiaxial"
+    assert any(f"{words}, relative to the largest stress" in text for text in made.material.trust)
 
 
 @needs_rubber
