@@ -74,7 +74,7 @@ class Time(Spec):
 
     stretch: float | None = Field(
         description="Largest stretch for which auto makes substeps; that of clamps that pull a body if absent",
-        gt=1, default=None,
+        gt=1, default=None, exclude_if=lambda value: value is None,
     )  # fmt: skip
 
     @property
