@@ -12,6 +12,7 @@ import numpy as np
 
 from cqrun.plugin.contract import Array
 from cqrun.tensile.curve import Curve
+from cqrun.tensile.noise import noise_of
 from cqrun.tensile.slack import SMALLEST
 
 DROP, EARLY = 0.10, 0.05
@@ -27,9 +28,6 @@ SURE = 8.0
 LASTS = 3
 """A fall is there in the lines through so many points before and after it, too."""
 
-WINDOWS, SHORTEST, LONGEST = 20, 7, 25
-"""The noise is what a parabola leaves in a window: the curve has so many windows of these numbers of points."""
-
 GLITCH, SIDE, APART = 3, 3, 4.0
 """At most so many points in a row are wrong if so many points on each side lie on one line. The wrong ones are away
 from this line by so many times what the others are."""
@@ -42,18 +40,6 @@ class _Fall:
     last: int
     first: int
     part: float
-
-
-def noise_of(stress: Array) -> float:
-    """Return the standard deviation of the noise of a stress (n,) that is smooth but for it; 0.0 for few points."""
-    n = len(stress)
-    size = int(np.clip(n // WINDOWS, SHORTEST, LONGEST))
-    if n < size:
-        return 0.0
-    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 3))[0]
-    windows = np.lib.stride_tricks.sliding_window_view(stress, size)[:: max(1, size // SHORTEST)]
-    left = windows - (windows @ basis) @ basis.T
-    return float(np.sqrt(np.median((left**2).sum(axis=1)) / (size - 3)))
 
 
 def without_glitches(curve: Curve) -> Curve:

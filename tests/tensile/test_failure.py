@@ -7,7 +7,9 @@ import pytest
 from made_pulls import silicone
 
 from cqrun.tensile.curve import Curve
-from cqrun.tensile.failure import noise_of, without_failure, without_glitches
+from cqrun.tensile.failure import without_failure, without_glitches
+from cqrun.tensile.noise import noise_of
+from cqrun.tensile.slack import find_slack
 
 
 def stiffening(strain):
@@ -39,6 +41,15 @@ def test_noise_is_no_slip(noise, points):
         curve = made(stiffening(np.linspace(0.0, 5.0, points)), 5.0, noise, seed)
         assert len(cut(curve).stretch) == points
         assert cut(curve).remarks == ()
+
+
+@pytest.mark.parametrize("points", [60, 200, 500, 2000])
+def test_noise_is_no_slack_and_hides_none(points):
+    strain = np.linspace(0.0, 2.0, points)
+    for seed in range(20):
+        assert find_slack(strain, made(stiffening(strain), 2.0, 0.003, seed).stress) == 0.0
+        slack = find_slack(strain, made(stiffening(np.maximum(strain - 0.05, 0.0)), 2.0, 0.003, seed).stress)
+        assert slack == pytest.approx(0.04, abs=0.02)  # the stress of a law softens, so a tangent finds too little
 
 
 def test_the_noise_of_a_curve_is_told_from_its_shape():
