@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.errors import DataError
-from cqrun.explain import listed
+from cqrun.explain import cut, listed
 from cqrun.materials.curves import MODES, Mode
 from cqrun.plugin.contract import Array
 from cqrun.store.formats.cells import NAN
@@ -119,6 +119,11 @@ def _curve(table: Table, rows: Sequence[int], named: _Named | None, given: Given
     words = " ".join(" ".join(cells) for cells in table.header).lower()
     words += " " + " ".join(column.name.lower() for column in table.columns)
     remarks = list(chosen.remarks)
+    if table.after:
+        first = table.after[0]
+        count = "1 line" if len(table.after) == 1 else f"{len(table.after)} lines"
+        where = f"line {first.line}: '{cut(table.separator.join(first.cells))}'"
+        remarks.append(f"{count} after the table not read (first: {where})")
     mode = named.mode if named else given.of_file("mode", table.source) or _mode_of(table, words, remarks)
     stretch = _stretch(table, chosen, header, given, remarks)
     stress = _stress(table, chosen, stretch, header, given, remarks)

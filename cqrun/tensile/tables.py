@@ -51,6 +51,7 @@ class Table:
         header: cells of the lines before the table, without empty ones.
         columns: what each column is.
         rows: the lines of the table.
+        after: the lines after it.
     """
 
     source: str
@@ -58,6 +59,7 @@ class Table:
     header: tuple[tuple[str, ...], ...]
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
+    after: tuple[Row, ...] = ()
 
     def texts(self) -> list[Column]:
         """Return the columns whose cells are words."""
@@ -92,7 +94,7 @@ def read_table(path: Path) -> Table:
         )
     names, units, header = _names(rows[:first], len(table[0].cells))
     columns = tuple(column_of(k, name, unit) for k, (name, unit) in enumerate(zip(names, units, strict=True)))
-    return Table(source, separator, header, columns, tuple(table))
+    return Table(source, separator, header, columns, tuple(table), tuple(rows[last:]))
 
 
 def _require_one_comma(rows: Sequence[Row], separator: str, source: str) -> None:
@@ -164,11 +166,14 @@ def _longest(rows: Sequence[Row]) -> tuple[int, int]:
 
 def _continues(rows: Sequence[Row], start: int, k: int) -> bool:
     """Return whether a row belongs to the run that starts before it."""
-    if not _is_like(rows[k], rows[start]):
-        return False
+    return _is_like(rows[k], rows[start]) and (_has_place(rows[k].cells) or _is_between(rows, k))
+
+
+def _is_between(rows: Sequence[Row], k: int) -> bool:
+    """Return whether a row has a number, and lies between two rows that have all of theirs."""
     around = [*rows[k - 1 : k], *rows[k + 1 : k + 2]]
-    between = len(around) == 2 and all(_is_like(row, rows[start]) and _has_place(row.cells) for row in around)
-    return _has_place(rows[k].cells) or (between and _count(rows[k].cells) > 0)
+    numbers = [row for row in around if _is_like(row, rows[k]) and _has_place(row.cells)]
+    return len(numbers) == 2 and _count(rows[k].cells) > 0
 
 
 def _is_like(row: Row, other: Row) -> bool:

@@ -246,13 +246,14 @@ def test_decimal_commas_between_commas_are_refused(tmp_path):
 @pytest.mark.parametrize("more", [0, 2])
 def test_a_cell_that_is_no_number_is_missing_and_told(tmp_path, sign, place, more):
     """Wherever it is, and whatever other columns there are; no row is lost without a remark."""
-    if sign == "broken" and place == 30:
-        place = 29  # in the last line a word may belong to what follows the table
     stress = [f"{x * 1e-6:.9g}" for x in STRESS]
     stress[place] = sign
     columns = {f"Other {k}": STRAIN for k in range(more)}
     columns |= {"Strain (%)": [f"{100 * x:.9g}" for x in STRAIN], "Stress (MPa)": stress}
     curve = only_curve(write(tmp_path, columns, header=TENSILE))
+    if (sign, place, more) == ("broken", 30, 0):  # one word and one number may be what follows a table
+        assert "1 line after the table not read (first: line 33: '150;broken')" in curve.remarks
+        return
     assert len(curve.stress) == 31
     assert np.flatnonzero(np.isnan(curve.stress)).tolist() == [place]
     assert f"1 cell is no number and counts as missing (first: '{sign}' in line {place + 3})" in curve.remarks
