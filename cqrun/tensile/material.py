@@ -15,6 +15,7 @@ from cqrun.tensile.columns import CROSSHEAD
 from cqrun.tensile.curve import Curve
 from cqrun.tensile.fits import Fit, fit_law
 from cqrun.tensile.laws import Law
+from cqrun.tensile.noise import noise_of
 from cqrun.tensile.reading import modes_in
 
 SOFTEST, STIFFEST = 1e4, 5e6
@@ -25,6 +26,9 @@ SECANT = 0.5
 
 VAGUE = 4.0
 """An interval of the modulus at rest that ends at more than so many times where it begins is warned about."""
+
+NOISY = 0.05
+"""No load cell has more noise than this part of the largest stress."""
 
 SLOPES = {"uniaxial": 3.0, "planar": 4.0, "equibiaxial": 6.0}
 """Slope of the nominal stress at rest, in shear moduli."""
@@ -80,7 +84,7 @@ def characterise(
     judged = judge(one_of_each(fits), curves)
     best = chosen(judged)
     disagreement = contradictions(curves, laws, min(fit.rms for fit in fits))
-    warnings = (*_sizes(curves), *disagreement, *weaknesses(best, contradicted=bool(disagreement)))
+    warnings = (*_sizes(curves), *_noisy(curves), *disagreement, *weaknesses(best, contradicted=bool(disagreement)))
     return Material(
         tuple(curves), tuple(fits), tuple(judged), best, ratio, warnings, tuple(_trust(curves, judged, best))
     )
@@ -105,6 +109,17 @@ def _sizes(curves: Sequence[Curve]) -> list[str]:
             f"the units right ({meant}), the area, and the length? Give --unit, --area or --gauge if not"
         )
     return found
+
+
+def _noisy(curves: Sequence[Curve]) -> list[str]:
+    """Return a warning on each curve whose stress jumps up and down."""
+    parts = [(curve.source, noise_of(curve.stress) / curve.largest_stress) for curve in curves]
+    return [
+        f"{source}: the stress jumps up and down by about {part:.0%} of its largest value from line to line: are two "
+        "specimens mixed in the file, or is another column the stress? Write each specimen to a file of its own, or "
+        "give --column stress=N"
+        for source, part in parts if part > NOISY
+    ]  # fmt: skip
 
 
 def weaknesses(best: Judged, *, contradicted: bool = False) -> list[str]:

@@ -244,6 +244,18 @@ def test_files_that_agree_or_that_no_law_follows_alone_do_not_contradict_each_ot
     assert warned(make_material([agree[0], steep], laws=["neo_hookean"], out=tmp_path)) == []
 
 
+def test_two_specimens_that_are_mixed_line_by_line_are_warned_about(tmp_path):
+    strain = np.repeat(np.linspace(0.0, 2.0, 60), 2)
+    path = pull(tmp_path, strain, silicone(strain) * np.tile([1.0, 2.0], 60))
+    made = make_material([path], laws=["neo_hookean"], out=tmp_path)
+    (text,) = made.material.warnings
+    assert re.match(
+        r"pull\.csv: the stress jumps up and down by about 1\d% of its largest value from line to line", text
+    )
+    made = make_material([noisy(tmp_path)], laws=["neo_hookean"], out=tmp_path)
+    assert made.material.warnings == ()
+
+
 # --- real tests ---------------------------------------------------------------------------------------------------
 
 
