@@ -17,6 +17,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine
 from cqrun.jobs.sysid import run_sysid
@@ -83,9 +85,7 @@ def main() -> None:
         result[name] = fit(name, poses, options.runs)
         source = {"command": "python benchmarks/tentacle.py --recordings DIR", "machine": machine()}
         write_json(options.out, {**result, **source, "engine": engine_hash(), "rod_model_mm": ROD_MODEL_MM})
-        young = ", ".join(
-            f"{found['value'] / 1e3:.1f}" for path, found in result[name]["unknowns"].items() if MODULUS in path
-        )
+        young = ", ".join(f"{value / 1e3:.1f}" for value in np.atleast_1d(result[name]["unknowns"][MODULUS]["value"]))
         print(f"{name}: E {young} kPa, {result[name]['recordings']['poses']['mean_mm']:.2f} mm", flush=True)
 
 
