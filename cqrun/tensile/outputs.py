@@ -130,9 +130,15 @@ def as_json(material: Material | None, relaxations: Sequence[Relaxation] = ()) -
             }
             for curve, stretch in curves
         ],
-        **(relaxations[0].prony.fragment() if relaxations else {}),
+        **(_branches(relaxations[0]) if relaxations else {}),
         **_long_term_part(material, relaxations),
     }
+
+
+def _branches(relaxation: Relaxation) -> dict[str, Any]:
+    prony = relaxation.prony
+    known = {name: None if each is None else list(each) for name, each in prony.intervals.items()}
+    return {**prony.fragment(), "prony_intervals": known}
 
 
 def _long_term_part(material: Material | None, relaxations: Sequence[Relaxation]) -> dict[str, Any]:

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from cqrun.errors import DataError
 from cqrun.plugin.contract import Array
+from cqrun.tensile.branches import Prony, branch, with_intervals
 from cqrun.tensile.cleaning import without_gaps
 from cqrun.tensile.curve import Curve
 
@@ -43,31 +43,6 @@ EXACT = 1e-4
 
 BETTER = 10.0
 """A branch has to lower the criterion by so much: errors are not quite independent."""
-
-
-@dataclass(frozen=True)
-class Prony:
-    """Branches of a Prony series.
-
-    Attributes:
-        moduli: (b,) relative to the long-term modulus.
-        times: (b,) [s], the shortest first.
-    """
-
-    moduli: Array
-    times: Array
-
-    def stiffening(self, duration: float) -> float:
-        """Return the mean modulus of a pull at a constant rate over a duration [s], relative to the long-term one."""
-        x = duration / self.times
-        return 1.0 + float(self.moduli @ (-np.expm1(-x) / x))
-
-    def fragment(self) -> dict[str, Any]:
-        """Return the term of a scene's material."""
-        fields: dict[str, float] = {}
-        for k, (modulus, time) in enumerate(zip(self.moduli, self.times, strict=True), start=1):
-            fields |= {f"ratio_{k}": float(f"{modulus:.6g}"), f"time_{k}": float(f"{time:.6g}")}
-        return {"prony": fields}
 
 
 @dataclass(frozen=True)
@@ -100,13 +75,12 @@ class Relaxation:
     def sentences(self) -> list[str]:
         """Return the branches and what is known of them, a line each."""
         g = float(self.prony.moduli.sum())
-        branches = ", ".join(f"{m:.3g} at {t:.3g} s" for m, t in zip(self.prony.moduli, self.prony.times, strict=True))
         size = "of unknown size" if self.strain is None else f"{self.strain:.3g}"
         return [
             f"Relaxation: {self.curve.source}, {len(self.curve.stress)} points over {np.ptp(self._time):.4g} s, strain "
             f"{size} held from {self.held_from:.3g} s; error {self.rms:.2%}",
-            f"Branches (modulus relative to the long-term one): {branches}; instantaneous modulus = {1 + g:.4g} times "
-            "the long-term one",
+            f"Branches (modulus relative to the long-term one, 95 % intervals): {self.prony.sentence()}; instantaneous "
+            f"modulus = {1 + g:.4g} times the long-term one",
             *self.findings,
         ]
 
@@ -183,11 +157,11 @@ def fit_relaxation(curve: Curve) -> Relaxation:
     interval, length = float(np.median(np.diff(time[start:]))), float(time[-1] - time[start])
     shortest = SAMPLES * float(min(interval, np.diff(time[start:])[:5].mean()))
     grid = np.geomspace(shortest, length, max(8, int(PER_DECADE * np.log10(max(length / shortest, 10.0)))))
-    stress, moduli, long_term = _branches(curve, (curve.stretch - 1.0) / level, grid)
-    findings = _findings(moduli[1], shortest, length, known)
-    return Relaxation(
-        curve, level if known else None, float(time[start]), Prony(*moduli), stress, long_term, tuple(findings)
-    )
+    strain, scale = (curve.stretch - 1.0) / level, curve.largest_stress
+    stress, prony, long_term = _branches(curve, strain, grid)
+    prony = with_intervals(prony, time, strain, (stress - curve.stress) / scale, long_term / scale)
+    findings = _findings(prony.times, shortest, length, known)
+    return Relaxation(curve, level if known else None, float(time[start]), prony, stress, long_term, tuple(findings))
 
 
 def _whole(curve: Curve) -> Curve:
@@ -217,30 +191,15 @@ def _until_let_go(curve: Curve, held: slice) -> Curve:
     )
 
 
-def branch(time: Array, strain: Array, relaxation: float) -> Array:
-    """Return the stress (n,) of a branch of modulus 1 with a relaxation time.
-
-    It is exact for strain that is linear between points. A strain that is not zero at the first point has jumped there.
-    """
-    out = np.empty(len(time))
-    out[0] = strain[0]
-    steps, rises = np.diff(time) / relaxation, np.diff(strain)
-    keep = np.exp(-steps)
-    added = rises * -np.expm1(-steps) / steps
-    for k in range(len(steps)):
-        out[k + 1] = keep[k] * out[k] + added[k]
-    return out
-
-
-def _branches(curve: Curve, strain: Array, grid: Array) -> tuple[Array, tuple[Array, Array], float]:
-    """Return the fitted stress, (moduli, times), and the stress that is left, with the best number of branches."""
+def _branches(curve: Curve, strain: Array, grid: Array) -> tuple[Array, Prony, float]:
+    """Return the fitted stress, the branches, and the stress that is left, with the best number of branches."""
     from scipy.optimize import nnls
 
     assert curve.time is not None
     scale = curve.largest_stress
     shapes = np.array([strain, *(branch(curve.time, strain, t) for t in grid)]).T
     weights = nnls(shapes, curve.stress / scale)[0][1:]
-    best: tuple[float, Any] | None = None
+    best: tuple[float, tuple[Array, Prony, float]] | None = None
     for count in range(1, MOST_BRANCHES + 1):
         times = _merged(grid, weights, count)
         if len(times) < count:
@@ -252,7 +211,8 @@ def _branches(curve: Curve, strain: Array, grid: Array) -> tuple[Array, tuple[Ar
         if parts[0] <= 0.0 or (best is not None and criterion > best[0] - BETTER):
             continue
         kept = parts[1:] > 1e-6 * parts[0]
-        best = (criterion, (stress * scale, (parts[1:][kept] / parts[0], times[kept]), float(parts[0] * scale)))
+        prony = Prony(parts[1:][kept] / parts[0], times[kept])
+        best = (criterion, (stress * scale, prony, float(parts[0] * scale)))
     if best is None:
         raise DataError(f"{curve.source}: no stress is left at the end of the test: it is too short to tell what stays")
     return best[1]
