@@ -87,12 +87,15 @@ def test_the_longer_clamp_explains_the_real_beam_better():
 
 
 def test_the_tentacle():
-    """Eight poses: below 8 mm; both moduli are between the fitted and the first value of the source."""
+    """Eight poses, two grids: below 8 mm; both moduli are between the fitted and the first value of the source."""
     told = kept("tentacle")
     modulus = "bodies.arm.material.elastic.fixed_corotated.youngs_modulus"
-    assert told["coarse"]["status"] == "converged"
-    assert all(315e3 <= value <= 505e3 for value in told["coarse"]["unknowns"][modulus]["value"])
-    assert told["coarse"]["recordings"]["poses"]["mean_mm"] < 8.0 < told["rod_model_mm"]
+    for name in ("coarse", "fine"):
+        assert told[name]["status"] == "converged"
+        assert all(315e3 <= value <= 505e3 for value in told[name]["unknowns"][modulus]["value"])
+        assert told[name]["recordings"]["poses"]["mean_mm"] < 8.0 < told["rod_model_mm"]
+    coarse, fine = (told[name]["unknowns"][modulus]["value"] for name in ("coarse", "fine"))
+    assert fine == pytest.approx(coarse, rel=0.02)
 
 
 def test_robots_of_the_papers_learn_in_both_frames():
