@@ -100,6 +100,7 @@ SMALLER = {
         f"{name}_codesign": [f"bodies.{name}.sampling.lattice.count=3", boundaries(3, 0.0), *designed(name)]
         for name in ("quadruped", "hexapod", "octopod")
     },
+    "gripper_least": ["world.dx=0.006"],
     "finger_codesign": ["world.dx=0.002", "bodies.finger.spacing=0.001"],
     "creature": ["bodies.creature.spacing=0.02", "time.substeps=2", boundaries(3, 0.0), *elastic("creature")],
 }  # fmt: skip

@@ -21,6 +21,7 @@ import numpy as np
 
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.control import run_codesign
+from cqrun.plugin.contract import Array
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
 from cqrun.store.result import LearnedResult, require_result
@@ -44,11 +45,9 @@ def compared(run: Path) -> dict[str, Any]:
     assert motion.measured is not None
     grip, slip = (motion.measured.quantities[name].values for name in ("grip", "slip"))
     c, x = center + motion.rigid.part("disc", "displacement")[held], motion.fields["x"]
-    fingers = x[held][:, x[0][:, 0] < center[0]]
-    away = fingers - c[:, None]
-    nearest = np.argmin(np.linalg.norm(away, axis=2), axis=1)
-    r = np.take_along_axis(away, nearest[:, None, None], axis=1)[:, 0]
-    t = float(np.mean(np.arctan2(-r[:, 1], -r[:, 0])))
+    t = float(
+        np.mean([touching_angle(at, where) for at, where in zip(x[held][:, inner_face(x[0], center)], c, strict=True)])
+    )
     closed = 0.5 * weight * (np.cos(t) - disc.friction * np.sin(t)) / (np.sin(t) + disc.friction * np.cos(t))
     push = float(grip[held, 0].mean())
     return {
@@ -56,6 +55,26 @@ def compared(run: Path) -> dict[str, Any]:
         "upright_N_m": float(weight / (2.0 * disc.friction)), "push_over_closed": push / float(closed),
         "slip_mm": 1e3 * float(slip[-1, 1]),
     }  # fmt: skip
+
+
+def inner_face(x: Array, center: Array) -> Array:
+    """Return the particles (n,) on the inner face of the left finger, from below."""
+    left = np.flatnonzero(x[:, 0] < center[0])
+    face = left[x[left, 0] > x[left, 0].max() - 1e-6]
+    return face[np.argsort(x[face, 1])]
+
+
+def touching_angle(face: Array, c: Array) -> float:
+    """Return how far below the equator of a disc at c (2,) the nearest point of a face (n, 2) is [rad].
+
+    Between particles, the distance and the place are parabolas.
+    """
+    away = np.linalg.norm(face - c, axis=1)
+    k = int(np.clip(np.argmin(away), 1, len(away) - 2))
+    before, least, after = away[k - 1 : k + 2]
+    s = 0.5 * (before - after) / (before - 2.0 * least + after)
+    place = face[k] + 0.5 * s * (face[k + 1] - face[k - 1]) + 0.5 * s * s * (face[k + 1] - 2.0 * face[k] + face[k - 1])
+    return float(np.arctan2(c[1] - place[1], c[0] - place[0]))
 
 
 def main() -> None:
