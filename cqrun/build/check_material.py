@@ -75,12 +75,14 @@ def _unstable(material: Material | RegionMaterial) -> Iterator[tuple[str, str]]:
     mode, end = min(stable.items(), key=lambda item: item[1])
     if end < STABLE:
         first, last = nominal_slope(law, theta, mode, np.array([1.0, BEFORE * end]))
-        fails = "gives way at once" if last < first else "cannot be: its stress grows without bound there"
+        farther = "a body that is stretched farther gives way at once"
+        if last >= first:
+            farther = "no body can be stretched farther, because its stress grows without bound there"
         what = "has its largest force" if last < first else "reaches its limit"
         yield (
             f"elastic.{elastic.name}",
-            f"{what} in {mode} tension at a stretch of {end:.3g}: a body that is stretched farther "
-            f"{fails}; check the numbers, or keep below that stretch",
+            f"{what} in {mode} tension at a stretch of {end:.3g}: {farther}; check the numbers, or keep below that "
+            "stretch",
         )
 
 

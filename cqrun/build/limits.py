@@ -33,10 +33,11 @@ WARN, REFUSE = 0.7, 1.15
 
 @dataclass(frozen=True)
 class Limit:
-    """A bound on dt [s] and the part that causes it."""
+    """A bound on dt [s] and the part that causes it. One that is `estimated` refuses no given substeps."""
 
     part: str
     dt: float
+    estimated: bool = False
 
 
 def wave_limit(part: str, dx: float, density: Array, modulus: Array, viscosity: Array) -> Limit:

@@ -16,6 +16,7 @@ from cqrun.build.check_moves import carried, held_by
 from cqrun.build.limits import Limit
 from cqrun.build.particles import Particles
 from cqrun.build.regions import boundary
+from cqrun.build.values import updated
 from cqrun.materials.waves import pulled, wave_stiffness
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
@@ -25,6 +26,9 @@ MUCH = 1.5
 
 BETWEEN = 1.15
 """Ratio of the stretches that are tried, up to the largest."""
+
+ABOUT = 1.2
+"""Points of two clamps are about nearest if they are at most so many times as far from each other as the nearest."""
 
 MOMENTS = 16
 """Moments of the run at which the distance of two clamps is looked at."""
@@ -41,8 +45,8 @@ def pull_limits(
         modulus: (N_b,) stiffness of pressure waves at rest [Pa].
         values: by path.
     """
-    most = max(largest_pull(scene, particles, body), scene.time.stretch or 1.0)
-    if most < MUCH:
+    most = scene.time.stretch or largest_pull(scene, particles, body, values)
+    if most < MUCH or scene.job == "rest":  # an equilibrium takes no substeps
         return []
     fastest = int(np.argmax(modulus / density))
     terms, thetas = assembly.terms_at(body, fastest, values)
@@ -53,14 +57,17 @@ def pull_limits(
     if stiffest <= 0.0:
         return []
     dt = scene.world.dx * float(np.sqrt(density[fastest] / stiffest))
-    return [Limit(f"bodies.{body}.material at a stretch of {most:.3g}", dt)]
+    return [Limit(f"bodies.{body}.material at a stretch of {most:.3g}", dt, estimated=True)]
 
 
-def largest_pull(scene: Scene, particles: Particles, body: str) -> float:
-    """Return how far clamps stretch the material between them at most, on the shortest way; at least 1."""
+def largest_pull(scene: Scene, particles: Particles, body: str, values: dict[str, Array]) -> float:
+    """Return how far clamps stretch what is between them at most, on the shortest ways; at least 1.
+
+    A clamp that is glued to a rigid body counts as one that does not move: see `time.stretch`.
+    """
     x, clamps = particles.x[particles.of(body)], []
     for name, chosen in scene.boundaries.items():
-        spec: Any = boundary(scene, name)
+        spec: Any = updated(boundary(scene, name), f"boundaries.{name}.{chosen.name}", values)
         held = held_by(spec, x, np.array(scene.world.size)) if chosen.name == "sticky" else None
         if held is not None and held.any():
             clamps.append((spec, x[held]))
@@ -72,13 +79,13 @@ def largest_pull(scene: Scene, particles: Particles, body: str) -> float:
 
 
 def _stretch_between(scene: Scene, one: Any, a: Array, other: Any, b: Array) -> float:
-    """Return the largest ratio of the distance of two clamps to that at rest, for the points that are nearest there."""
+    """Return the largest ratio of the distance of two clamps to that at rest, for points that are about nearest."""
     from scipy.spatial import cKDTree
 
     away, near = cKDTree(a).query(b)
-    k = int(np.argmin(away))
-    if away[k] <= 0.0:
+    if away.min() <= 0.0:
         return 1.0
+    k = np.flatnonzero(away <= ABOUT * away.min())
     moments = np.linspace(0.0, scene.time.duration, MOMENTS + 1)[1:]
     ends = zip(carried(scene, one, a, moments), carried(scene, other, b, moments), strict=True)
-    return max(float(np.linalg.norm(y[k] - x[near[k]])) for x, y in ends) / float(away[k])
+    return max(float((np.linalg.norm(y[k] - x[near[k]], axis=1) / away[k]).max()) for x, y in ends)

@@ -125,9 +125,10 @@ def _spring_limits(
 def _stiffest(scene: Scene, particles: Particles, assembly: Assembly) -> list[Limit]:
     """Return the bounds on the substep at the corner of the unknowns' bounds where the smallest of them is smallest.
 
-    Every bound on the substep is monotone in every unknown. So the unknowns are set one after another: each to the end
-    at which the smallest of the bounds that it changes is smaller. An unknown that changes no bound (such as a strength
-    while its signal is zero) is set to the end farther from zero, and tried again after all others.
+    Bounds on the substep are monotone in every unknown, but for those of bodies that are pulled far. So the unknowns
+    are set one after another: each to the end at which the smallest of the bounds that it changes is smaller. An
+    unknown that changes no bound (such as a strength while its signal is zero) is set to the end farther from zero, and
+    tried again after all others.
     """
     corner: dict[str, Array] = {}
     remaining = [path for path in scene.unknowns if assembly.reaches(path)]
@@ -185,6 +186,7 @@ def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:
 
 def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
     """Raise a SceneError if the given substeps would blow up; return a warning if they nearly do, or are too many."""
+    limits = [limit for limit in limits if not limit.estimated]
     least = min(limits, key=lambda limit: limit.dt)
     dt = scene.time.control_step / int(scene.time.substeps)
     share = dt / least.dt
@@ -203,6 +205,7 @@ def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
 
 def _check_corner(scene: Scene, limits: list[Limit]) -> list[Problem]:
     """Return a warning if the number of substeps is stable at the start, but too small at the unknowns' bounds."""
+    limits = [limit for limit in limits if not limit.estimated]
     least = min(limits, key=lambda limit: limit.dt)
     dt = scene.time.control_step / int(scene.time.substeps)
     if dt <= least.dt:

@@ -74,8 +74,8 @@ def locking_bodies(scene: Scene, rasters: Mapping[str, Raster]) -> Iterator[Prob
             lost = bends_too_little(ratio, cells)
             message = (
                 f"a Poisson's ratio of {ratio:.5g} is nearly incompressible, and particles that each keep their own "
-                f"volume bend too little: a beam as thick as this body, {cells:.2g} cells, about {lost:.0%} less than "
-                f"it should; {asks}"
+                f"volume bend too little: a beam of this thickness, {cells:.2g} cells, bends about {lost:.0%} less "
+                f"than it should; {asks}"
             )
             yield Problem(scene.where(path), path, message)
 

@@ -61,9 +61,9 @@ def labels(paths: Sequence[str], dim: int) -> list[str]:
 
 
 def _owner(path: str) -> tuple[str, str]:
-    """Return the recording whose offset or own value a path is, and the path inside it; else an empty name."""
+    """Return the recording whose placement or own value a path is, and the path inside it; else an empty name."""
     keys = path.split(".")
-    if keys[:2] == ["data", "recordings"] and keys[3:4] == ["offset"]:
+    if keys[:2] == ["data", "recordings"] and keys[3:4] in (["offset"], ["rotation"]):
         return keys[2], ".".join(keys[3:])
     return split_own(path)
 
@@ -85,7 +85,7 @@ def _short(path: str, dim: int) -> str:
     parent = before[-1] if before else ""
     if last.isdigit():
         axis = "xyz"[int(last)] if int(last) < 3 else last
-        if parent == "spin" and dim == 2:
+        if parent in ("spin", "rotation") and dim == 2:
             axis = "z"  # the only axis of rotation in 2D
         prefix = " ".join(before[-2:]) if parent.isdigit() else parent  # `points 2`, of a polygon
         return f"{prefix} {axis}".replace("_", " ")

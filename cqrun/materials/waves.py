@@ -23,6 +23,9 @@ DIRECTIONS = 200
 DIFFERENCE = 1e-6
 """Of F, for slopes, in parts of its least stretch."""
 
+WIDEST = 10.0
+"""Stretch across a pulled body that is not exceeded."""
+
 HALVINGS = 50
 """Of the interval in which the stretch across a pulled body lies."""
 
@@ -73,10 +76,15 @@ def pulled(terms: Sequence[Any], thetas: Sequence[Array], stretch: float, dim: i
 def _free_across(
     terms: Sequence[Any], thetas: Sequence[Array], stretch: float, dim: int, axes: tuple[int, ...]
 ) -> Array:
-    """Return F with a stretch along x and no force along the axes: between 1 and what keeps the volume."""
+    """Return F with a stretch along x and no force along the axes."""
     low, high = stretch ** (-1.0 / len(axes)), 1.0
     F = np.eye(dim)
     F[0, 0] = stretch
+    while high < WIDEST:  # a body whose shape resists more than its volume becomes wider
+        F[axes, axes] = high
+        if nominal(terms, thetas, F)[1, 1] > 0.0:
+            break
+        low, high = high, 1.2 * high
     for _ in range(HALVINGS):
         F[axes, axes] = middle = 0.5 * (low + high)
         low, high = (low, middle) if nominal(terms, thetas, F)[1, 1] > 0.0 else (middle, high)

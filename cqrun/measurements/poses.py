@@ -26,8 +26,8 @@ ELSEWHERE, FAR = 5.0, 0.5
 """A pose ends elsewhere if its error is so many times that of most poses, and such a part of the way of its markers."""
 
 ADVICE = (
-    "positions are in the axes of the scene: give `offset` if the file has another origin, `units`, or mend the rest "
-    "positions"
+    "positions are in the axes of the scene: give `offset` if the file has another origin, `rotation` if it has other "
+    "axes, `units`, or mend the rest positions"
 )
 
 

@@ -73,7 +73,8 @@ class Time(Spec):
     )
 
     stretch: float | None = Field(
-        description="Largest stretch for which auto makes substeps; that of clamps that pull a body if absent",
+        description="Largest stretch for which auto makes substeps, in place of that of clamps that pull a body; "
+        "matters from 1.5 on",
         gt=1, default=None, exclude_if=lambda value: value is None,
     )  # fmt: skip
 

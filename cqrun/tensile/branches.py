@@ -74,13 +74,16 @@ def branch(time: Array, strain: Array, relaxation: float) -> Array:
     return out
 
 
-def with_intervals(prony: Prony, time: Array, strain: Array, residuals: Array, long_term: float) -> Prony:
+def with_intervals(
+    prony: Prony, time: Array, strain: Array, residuals: Array, long_term: float, ends: tuple[float, float]
+) -> Prony:
     """Return branches with the intervals that decision 007 gives their moduli and times.
 
     Args:
         time, strain: of the test (n,), the strain relative to the held one.
         residuals: (n,) the fitted stress minus the measured one, relative to the largest stress.
         long_term: the stress that is left in the end, relative to the largest one.
+        ends: the times between which those of branches were sought [s]; one at an end has no interval.
     """
     count = len(prony.times)
     names = ["long_term", *(f"{what}_{k + 1}" for what in ("ratio", "time") for k in range(count))]
@@ -95,8 +98,9 @@ def with_intervals(prony: Prony, time: Array, strain: Array, residuals: Array, l
     logs, steps = np.log(values), STEP * np.eye(len(values))
     jacobian = np.stack([(stress(logs + step) - stress(logs - step)) / (2.0 * STEP) for step in steps], axis=1)
     unknowns = [
-        Unknown(name, value, value / WIDE, value * WIDE, log=True)
+        Unknown(name, value, low, high, log=True)
         for name, value in zip(names, values.tolist(), strict=True)
+        for low, high in [ends if name.startswith("time") else (value / WIDE, value * WIDE)]
     ]
     series = [Series(np.arange(len(time)), np.arange(len(time)), 0)]
     found = intervals(jacobian, residuals, series, unknowns).intervals

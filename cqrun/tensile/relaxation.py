@@ -159,7 +159,8 @@ def fit_relaxation(curve: Curve) -> Relaxation:
     grid = np.geomspace(shortest, length, max(8, int(PER_DECADE * np.log10(max(length / shortest, 10.0)))))
     strain, scale = (curve.stretch - 1.0) / level, curve.largest_stress
     stress, prony, long_term = _branches(curve, strain, grid)
-    prony = with_intervals(prony, time, strain, (stress - curve.stress) / scale, long_term / scale)
+    ends = _ends(grid)
+    prony = with_intervals(prony, time, strain, (stress - curve.stress) / scale, long_term / scale, ends)
     findings = _findings(prony.times, shortest, length, known)
     return Relaxation(curve, level if known else None, float(time[start]), prony, stress, long_term, tuple(findings))
 
@@ -237,6 +238,11 @@ def _merged(grid: Array, weights: Array, count: int) -> Array:
     return np.array(found) if len(found) == count else np.geomspace(grid[0], grid[-1], count + 2)[1:-1]
 
 
+def _ends(grid: Array) -> tuple[float, float]:
+    """Return the times between which those of branches are sought [s]."""
+    return float(grid[0]) * np.exp(-0.5), float(grid[-1]) * np.exp(1.0)
+
+
 def _refined(curve: Curve, strain: Array, times: Array, grid: Array) -> tuple[Array, Array, Array]:
     """Return times, the parts of the stress (long-term first) and the stress, relative to the largest one."""
     from scipy.optimize import least_squares, nnls
@@ -249,7 +255,7 @@ def _refined(curve: Curve, strain: Array, times: Array, grid: Array) -> tuple[Ar
         parts = nnls(shapes, measured)[0]
         return parts, shapes @ parts
 
-    low, high = np.log(grid[0]) - 0.5, np.log(grid[-1]) + 1.0
+    low, high = np.log(_ends(grid))
     end = least_squares(
         lambda logs: parts_of(logs)[1] - measured, np.clip(np.log(times), low + 0.01, high - 0.01),
         bounds=(np.full(len(times), low), np.full(len(times), high)), ftol=1e-12, xtol=1e-10,

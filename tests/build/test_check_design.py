@@ -316,6 +316,21 @@ PARTS = {"floor": {"box": {"corner": [0.2, 0.2], "size": [0.4, 0.05]}},
          "wall": {"box": {"corner": [0.3, 0.25], "size": [0.1, 0.2]}}}  # fmt: skip
 
 
+def test_parts_that_meet_at_a_corner_alone_come_apart():
+    corner = {"bodies.a.parts.wall.box.corner.0": {"bounds": [0.3, 0.6]}}
+    bodies = {"a": {"parts": PARTS, "particles_per_cell": 16, "material": MATERIAL}}
+    with pytest.raises(SceneError, match=r"at 0\.6 bodies\.a\.parts\.\w+ comes apart from the rest of the body"):
+        build(load_scene(data(corner, bodies=bodies, **denser("a"))))
+
+
+def test_parts_that_others_hold_together_may_part():
+    """Two walls that touch each other stand on one floor; one becomes thinner."""
+    second = {"box": {"corner": [0.4, 0.25], "size": [0.1, 0.2]}}
+    bodies = {"a": {"parts": PARTS | {"second": second}, "particles_per_cell": 16, "material": MATERIAL}}
+    thinner = {"bodies.a.parts.wall.box.size.0": {"bounds": [0.05, 0.1]}}
+    build(load_scene(data(thinner, bodies=bodies, **denser("a"))))
+
+
 @pytest.mark.parametrize(
     ("unknowns", "message"),
     [
@@ -323,7 +338,7 @@ PARTS = {"floor": {"box": {"corner": [0.2, 0.2], "size": [0.4, 0.05]}},
         ({"bodies.a.parts.wall.box.corner.0": {"bounds": [0.25, 0.4]}}, None),
         (
             {"bodies.a.parts.wall.box.corner.1": {"bounds": [0.25, 0.3]}},
-            r"at 0\.3 bodies\.a\.parts\.floor and bodies\.a\.parts\.wall come apart: their nearest particles are",
+            r"at 0\.3 bodies\.a\.parts\.\w+ comes apart from the rest of the body",
         ),
     ],
     ids=["thicker", "sliding", "apart"],

@@ -23,10 +23,11 @@ LAWS = {
 }
 
 
-def bar(law: str, pull: float, frame: str = "reference", **time: Any) -> Built:
-    """Return a bar whose free part, 0.05 m, is pulled longer by `pull` [m]."""
+def bar(law: str, pull: float, frame: str = "reference", *, more: Any = None, turn: float = 0.0, **time: Any) -> Built:
+    """Return a bar whose free part, 0.05 m, is pulled longer by `pull` [m], and turned; `more` are sections."""
     head: dict[str, Any] = {"region": {"box": {"corner": [0.09, 0], "size": [0.02, 0.06]}}}
     head |= {"displacement": [pull, 0]} if pull else {}
+    head |= {"rotation": [turn]} if turn else {}
     return build(load_scene({
         "cqrun": 1, "world": {"size": [0.4, 0.06], "dx": 0.005, "frame": frame},
         "bodies": {"bar": {
@@ -35,7 +36,7 @@ def bar(law: str, pull: float, frame: str = "reference", **time: Any) -> Built:
         }},
         "boundaries": {"foot": {"sticky": {"region": {"box": {"corner": [0, 0], "size": [0.04, 0.06]}}}},
                        "head": {"sticky": head}},
-        "time": {"duration": 0.28, "control_step": 0.01, **time},
+        "time": {"duration": 0.28, "control_step": 0.01, **time}, **(more or {}),
     }))  # fmt: skip
 
 
@@ -70,6 +71,34 @@ def test_a_law_beyond_its_limit_is_told_where_it_is_stretched_most(monkeypatch):
 def test_the_stretch_can_be_given(frame):
     plain, given = bar("yeoh", 0.0, frame), bar("yeoh", 0.0, frame, stretch=3.0)
     assert given.model.substeps > 2 * plain.model.substeps
+
+
+def test_a_given_stretch_replaces_that_of_clamps():
+    assert bar("yeoh", 0.1, stretch=1.2).model.substeps == bar("yeoh", 0.0).model.substeps
+
+
+def test_given_substeps_are_not_refused_for_a_pull():
+    assert bar("yeoh", 0.1, substeps=40).model.substeps == 40
+
+
+def test_mirrored_turns_need_the_same_steps():
+    assert bar("yeoh", 0.05, turn=0.6).model.substeps == bar("yeoh", 0.05, turn=-0.6).model.substeps
+
+
+def test_an_unknown_displacement_counts_to_its_bounds():
+    path = "boundaries.head.sticky.displacement.0"
+    truth = {"synthetic": {"truth": {path: 0.02}, "markers": {"a": [0.06, 0.03]}, "every": 1}}
+    more = {"job": "sysid", "unknowns": {path: {"bounds": [0.005, 0.1]}}, "data": truth}
+    assert bar("yeoh", 0.02, more=more).model.substeps == bar("yeoh", 0.1).model.substeps
+
+
+def test_a_body_that_becomes_wider_has_no_force_across_it():
+    spec = plugins("elastic")["yeoh"](c10=2.5e4, c30=2e4, poissons_ratio=0.3)
+    theta = np.array([[getattr(spec, name)] for name in spec.parameters])
+    (F,) = pulled([spec.kernel_term(theta)], [theta[:, 0]], 2.9, 2)
+    P = nominal([spec.kernel_term(theta)], [theta[:, 0]], F)
+    assert F[1, 1] > 1.0
+    assert abs(P[1, 1]) < 1e-9 * P[0, 0]
 
 
 def test_a_strip_has_no_force_across_it_and_a_sheet_keeps_its_width():

@@ -57,7 +57,7 @@ def test_it_is_warned_of_where_volumes_stay_local(ratio, bound):
     ):
         (message,) = (str(problem) for problem in locks(scene(ratio, bound, **world)))
         assert f"{RATIO}: a Poisson's ratio of {bound or ratio:g} is nearly incompressible" in message
-        assert "as thick as this body, 2 cells, about" in message
+        assert "a beam of this thickness, 2 cells, bends about" in message
         assert way_out in message
 
 

@@ -60,6 +60,12 @@ def test_intervals_of_branches_hold_the_truth():
     assert inside >= 140
 
 
+def test_a_time_that_the_test_cannot_tell_has_no_interval():
+    """The branch is ten times as slow as the test is long; its time ends where times are no longer sought."""
+    found = fit_relaxation(relaxing([1.0], [2000.0], np.linspace(0.0, 200.0, 400), noise=0.001)).prony.intervals
+    assert found["time_1"] is None
+
+
 def test_intervals_are_told(tmp_path):
     fit = fit_relaxation(relaxing([0.3], [1.5], TIME, noise=0.005))
     (low, high), (short, long) = fit.prony.intervals["ratio_1"], fit.prony.intervals["time_1"]
