@@ -50,7 +50,8 @@ def with_substeps(
     bounds = _possible(scene, _limits(scene, particles, assembly, starts))
     if truth := _truth(scene):
         bounds += _possible(scene, _limits(scene, particles, assembly, truth))
-    return scene, limits, bounds, _check_substeps(scene, bounds) or _check_corner(scene, limits)
+    doubts = _check_substeps(scene, _certain(bounds)) or _check_corner(scene, _certain(limits))
+    return scene, limits, bounds, doubts or _check_pulls(scene, bounds)
 
 
 def stable(scene: Scene, particles: Particles, assembly: Assembly, values: dict[str, Array]) -> tuple[Limit, int]:
@@ -59,7 +60,7 @@ def stable(scene: Scene, particles: Particles, assembly: Assembly, values: dict[
     Raises:
         SceneError: the bound is too small for any run.
     """
-    limits = _possible(scene, _limits(scene, particles, assembly, values))
+    limits = _certain(_possible(scene, _limits(scene, particles, assembly, values)))
     return min(limits, key=lambda limit: limit.dt), auto_substeps(scene.time.control_step, limits)
 
 
@@ -175,7 +176,7 @@ def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:
     """Return bounds on the substep; raise a SceneError if one is too small for any run."""
     for limit in limits:
         if not limit.dt * MOST_SUBSTEPS >= scene.time.control_step:
-            path = limit.part if "." in limit.part else ""
+            path = limit.part.partition(" ")[0] if "." in limit.part else ""
             message = (
                 f"asks for substeps of {limit.dt:.3g} s, more than {MOST_SUBSTEPS:.0e} in a control step of "
                 f"{scene.time.control_step:g} s: check its numbers and their units"
@@ -186,7 +187,6 @@ def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:
 
 def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
     """Raise a SceneError if the given substeps would blow up; return a warning if they nearly do, or are too many."""
-    limits = [limit for limit in limits if not limit.estimated]
     least = min(limits, key=lambda limit: limit.dt)
     dt = scene.time.control_step / int(scene.time.substeps)
     share = dt / least.dt
@@ -203,9 +203,26 @@ def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
     return [problem]
 
 
+def _certain(limits: list[Limit]) -> list[Limit]:
+    """Return the bounds that are no estimates."""
+    return [limit for limit in limits if not limit.estimated]
+
+
+def _check_pulls(scene: Scene, limits: list[Limit]) -> list[Problem]:
+    """Return a warning if the given substeps are too few for a body where clamps have pulled it."""
+    least = min((limit for limit in limits if limit.estimated), key=lambda limit: limit.dt, default=None)
+    dt = scene.time.control_step / int(scene.time.substeps)
+    if least is None or dt <= least.dt:
+        return []
+    message = (
+        f"a substep of {dt:.3g} s is stable at the start, but waves need {least.dt:.3g} s ({least.part}), where the "
+        f"run may blow up; use {auto_substeps(scene.time.control_step, limits)} substeps, or auto"
+    )
+    return [Problem(scene.where("time.substeps"), "time.substeps", message)]
+
+
 def _check_corner(scene: Scene, limits: list[Limit]) -> list[Problem]:
     """Return a warning if the number of substeps is stable at the start, but too small at the unknowns' bounds."""
-    limits = [limit for limit in limits if not limit.estimated]
     least = min(limits, key=lambda limit: limit.dt)
     dt = scene.time.control_step / int(scene.time.substeps)
     if dt <= least.dt:

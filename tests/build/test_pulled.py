@@ -78,7 +78,11 @@ def test_a_given_stretch_replaces_that_of_clamps():
 
 
 def test_given_substeps_are_not_refused_for_a_pull():
-    assert bar("yeoh", 0.1, substeps=40).model.substeps == 40
+    built = bar("yeoh", 0.1, substeps=40)
+    assert built.model.substeps == 40
+    (warning,) = map(str, built.warnings)
+    assert "is stable at the start, but waves need" in warning
+    assert "(bodies.bar.material at a stretch of 2.9)" in warning
 
 
 def test_mirrored_turns_need_the_same_steps():

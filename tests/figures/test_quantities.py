@@ -85,3 +85,9 @@ def test_names_of_the_numbers_of_a_shape_and_a_spin():
     assert labels(paths, 2) == ["Points 2 x", "Points 3 y"]
     assert labels(["bodies.arm.velocity.spin.0"], 2) == ["Spin z"]
     assert labels(["bodies.arm.velocity.spin.0"], 3) == ["Spin x"]
+
+
+def test_the_placement_of_a_recording_has_its_name():
+    paths = ["data.recordings.arm.rotation.0", "data.recordings.arm.offset.0"]
+    assert labels(paths, 2) == ["arm: Rotation z", "arm: Offset x"]
+    assert labels(paths, 3) == ["arm: Rotation x", "arm: Offset x"]
