@@ -142,7 +142,7 @@ class Simulate(Job[Simulation, SimulateResult]):
                     f"{message}; the trajectory so far is in {path}.part; `cqrun resume {run.path}` runs it again"
                 )
         result = _result(built, watch, "done", f"{time.duration:g} s simulated", reached)
-        if agent is not None and FILE not in run.record["files"]:
+        if agent is not None and agent.controller.learned and FILE not in run.record["files"]:
             result.findings.append(UNTRAINED)
         if agent is not None:
             _add_episode(result, run, agent, rollout, records)

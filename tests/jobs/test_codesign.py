@@ -312,6 +312,8 @@ def test_a_finger_at_rest_is_designed_alone(tmp_path):
     assert result["constraints"]["stretch"]["value"] <= 1.15 + 1e-6
     replay = run_simulate(run, [], tmp_path / "replay", threads=1)
     assert result_of(replay)["loss"] == result["loss"]
+    before = run_simulate(FINGER, coarse, tmp_path / "before", threads=1)
+    assert result_of(before)["findings"] == []  # what is given need not be learned
 
 
 def test_the_gradient_of_a_design_at_rest_agrees_with_differences(tmp_path):
