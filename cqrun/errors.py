@@ -36,6 +36,10 @@ class MissingExtra(UsageError):
     """An optional dependency is needed but not installed; the message names the extra."""
 
 
+class UnknownDistance(UsageError):
+    """The distance from the surface of a kind of shape is not known, whatever its numbers and files are."""
+
+
 class Stopped(CqrunError):
     """The run stopped early and can be resumed."""
 

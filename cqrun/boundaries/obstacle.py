@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from cqrun.boundaries.condition import BoundaryCondition
-from cqrun.errors import UsageError
+from cqrun.errors import UnknownDistance, UsageError
 from cqrun.plugin.contract import quantity
 
 
@@ -14,7 +14,7 @@ class Obstacle(BoundaryCondition):
 
     In the updated frame it is a condition on grid nodes. In the reference frame it is a solid with a surface of its
     own: bodies touch the faces of the world, half-spaces, height fields, boxes, balls, capsules, cylinders, cones,
-    polygons and unions of them. `normal` then has no use.
+    polygons, closed meshes and unions of them. `normal` then has no use.
     """
 
     is_obstacle: ClassVar[bool] = True
@@ -31,13 +31,18 @@ class Obstacle(BoundaryCondition):
 
     @property
     def has_surface(self) -> bool:
-        """Whether the distance from its surface is known, so that bodies of the reference frame can touch it."""
+        """Whether the distance from its surface is known, so that bodies of the reference frame can touch it.
+
+        What is wrong with a file is said when the scene is built.
+        """
         if self.region is None:
             return True
         try:
             return bool(self.region.value.solids())
-        except UsageError:
+        except UnknownDistance:
             return False
+        except UsageError:
+            return True
 
     @property
     def only_touched(self) -> bool:

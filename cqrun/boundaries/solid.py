@@ -18,11 +18,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cqrun.boundaries.mesh_solid import of_mesh
 from cqrun.numerics.compile import kernel, own_symbols
-from cqrun.numerics.tensor import add, dot, scale, sub
+from cqrun.numerics.tensor import add, dot, scale, sub, vector
 from cqrun.plugin.contract import Array
 
-PLANE, BOX, CAPSULE, CONE, POLYGON, TERRAIN, HILLS, TAPER = range(8)
+PLANE, BOX, CAPSULE, CONE, POLYGON, TERRAIN, HILLS, TAPER, MESH = range(9)
 """Kinds of solids."""
 
 FAR = 1e300
@@ -41,6 +42,8 @@ class Solid(NamedTuple):
     TERRAIN   the same with a profile from left to right; the solid is below it. The ends continue horizontally.
     HILLS     the same with amplitude, wavelength, base and phase [rad] of a sinusoid
     TAPER     both ends of its axis; the radius of the ball at each. It is the smallest convex body around both balls.
+    MESH      the origin of its coordinates; their three unit vectors; a scale, and numbers without a unit
+              (mesh_solid.py). A place changes only the scale, so the tree of a mesh is made once.
     """
 
     kind: int
@@ -53,6 +56,8 @@ class Solid(NamedTuple):
         lengths = self.lengths * scale
         if self.kind == HILLS:
             lengths[3] = self.lengths[3]
+        if self.kind == MESH:
+            lengths[1:] = self.lengths[1:]
         return Solid(self.kind, offset + scale * self.points @ rotation.T, self.directions @ rotation.T, lengths)
 
     def numbers(self) -> Array:
@@ -101,6 +106,8 @@ def signed_distance(solids: Solids, k: int, x: Any) -> Any:
         return of_cone(number, i, x)
     if kind == TAPER:
         return of_taper(number, i, x)
+    if kind == MESH:
+        return of_mesh(number, i, x)
     # the others lie in a plane, with coordinates a and b
     offset, e, f = sub(x, vector(number, i)), vector(number, i + 3), vector(number, i + 6)
     a, b = dot(offset, e), dot(offset, f)
@@ -112,12 +119,6 @@ def signed_distance(solids: Solids, k: int, x: Any) -> Any:
     else:
         d, n_a, n_b, alpha = of_hills(number[first], number[first + 1], number[first + 2], number[first + 3], a, b)
     return d, add(scale(e, n_a), scale(f, n_b)), alpha, cross(e, f)
-
-
-@kernel
-def vector(number: Array, i: int) -> Any:
-    """Return three numbers from the i-th on."""
-    return number[i], number[i + 1], number[i + 2]
 
 
 @kernel

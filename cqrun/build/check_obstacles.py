@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.boundaries.solid import BOX, CAPSULE, CONE, POLYGON, TAPER, Solid, make_solids, signed_distance
+from cqrun.boundaries.solid import BOX, CAPSULE, CONE, MESH, POLYGON, TAPER, Solid, make_solids, signed_distance
 from cqrun.build.regions import boundary
 from cqrun.errors import Problem
+from cqrun.geometry.mesh_tree import mesh_triangles
 from cqrun.scene.schema import Scene
 
 PLATE, DOT = 0.5, 1.5
@@ -57,6 +58,11 @@ def _extent(solid: Solid) -> tuple[float, float]:
         edges = np.roll(corners, -1, axis=0) - corners
         area = 0.5 * abs(float(np.sum(corners[:, 0] * edges[:, 1] - corners[:, 1] * edges[:, 0])))
         return 2.0 * area / float(np.linalg.norm(edges, axis=1).sum()), float(np.ptp(corners, axis=0).max())
+    if solid.kind == MESH:  # and a plate's twice its volume over its surface
+        corners = mesh_triangles(solid)
+        area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        volume = float(np.linalg.det(corners - corners[0, 0]).sum()) / 6.0
+        return 2.0 * volume / float(area.sum()), float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     return np.inf, np.inf
 
 
@@ -66,6 +72,8 @@ def _backed(solid: Solid, thickness: float, others: Sequence[Solid]) -> bool:
         return False
     dim = solid.points.shape[1]
     middle = solid.points.mean(axis=0)
+    if solid.kind == MESH:
+        middle = mesh_triangles(solid).mean(axis=(0, 1))
     if solid.kind == POLYGON:
         middle = solid.points[0] + solid.lengths.reshape(-1, 2).mean(axis=0) @ solid.directions
     table, x = make_solids(others), tuple(np.pad(middle, (0, 3 - dim)))

@@ -48,7 +48,7 @@ N_DEVIATIONS = 3.0
 _MEASURING_CELLS = 200_000
 """Number of cells that give the volume of a shape without a formula to a few thousandths, and are counted quickly."""
 
-READ_WHEN_BUILT = ("bodies", "regions", "boundaries", "loads", "actuators")
+READ_WHEN_BUILT = ("bodies", "regions", "boundaries", "rigid", "loads", "actuators")
 """The sections whose files are read while a scene is built; other files are read by the code that uses them."""
 
 MOST_PAIRS = 20

@@ -46,23 +46,31 @@ def bodies_of_another_size(scene: Scene) -> Iterator[Problem]:
     """Yield a problem for each piece of a body that is far larger than the world, or far smaller than a cell.
 
     The bounds of a mesh are exact. So it is also asked about if it reaches out of the world at all, and another unit
-    brings it inside.
+    brings it inside. Of rigid bodies, only meshes are asked about: a plate may be larger than the world.
     """
     world, dx = np.array(scene.world.size), scene.world.dx
+    for key, shape, place in _pieces(scene):
+        size = _size(shape) * (place or Place()).scale
+        if not (np.isfinite(size) & (size > 0)).all():
+            continue
+        if _SMALLEST * dx <= size.max() <= _LARGEST * world.max():
+            if isinstance(shape, Mesh) and place is None and (question := _outside(scene, shape)):
+                yield Problem(scene.where(key), key, question)
+            continue
+        large = size.max() > dx
+        than = f"the world is {_product(world)} m" if large else f"a cell of the grid is {dx:.4g} m"
+        message = f"is {_product(size)} m, but {than}{_other_unit(scene, shape, size, large)}"
+        yield Problem(scene.where(key), key, message)
+
+
+def _pieces(scene: Scene) -> Iterator[tuple[str, Shape, Place | None]]:
+    """Yield the key path, the shape and the place of each piece of a soft body, and of each rigid mesh."""
     for name, body in scene.bodies.items():
         for path, shape in body.pieces.items():
-            size = _size(shape) * (body.place or Place()).scale
-            if not (np.isfinite(size) & (size > 0)).all():
-                continue
-            key = f"bodies.{name}.{path}"
-            if _SMALLEST * dx <= size.max() <= _LARGEST * world.max():
-                if isinstance(shape, Mesh) and body.place is None and (question := _outside(scene, shape)):
-                    yield Problem(scene.where(key), key, question)
-                continue
-            large = size.max() > dx
-            than = f"the world is {_product(world)} m" if large else f"a cell of the grid is {dx:.4g} m"
-            message = f"is {_product(size)} m, but {than}{_other_unit(scene, shape, size, large)}"
-            yield Problem(scene.where(key), key, message)
+            yield f"bodies.{name}.{path}", shape, body.place
+    for name, rigid in scene.rigid.items():
+        if isinstance(rigid.shape.value, Mesh):
+            yield f"rigid.{name}.shape", rigid.shape.value, None
 
 
 def _other_unit(scene: Scene, shape: Shape, size: Array, large: bool) -> str:

@@ -169,7 +169,8 @@ def unknown_surfaces(scene: Scene) -> Iterator[tuple[str, str]]:
                 yield (
                     f"boundaries.{name}.{chosen.name}.region",
                     f"{error}, so bodies of the reference frame cannot touch it: use a half_space, height_field, box, "
-                    "ball, capsule, cylinder, cone, polygon, or a union of them, or use `world.frame: updated`",
+                    "ball, capsule, cylinder, cone, polygon, closed mesh, or a union of them, or use "
+                    "`world.frame: updated`",
                 )
 
 

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cqrun.boundaries.solid import BOX, CAPSULE, CONE, Solid
+from cqrun.boundaries.solid import BOX, CAPSULE, CONE, MESH, Solid
+from cqrun.geometry.mesh_tree import mesh_triangles
 from cqrun.geometry.shape import Shape, cell_centres, finite_bounds
 from cqrun.plugin.contract import Array
 
@@ -54,7 +55,24 @@ def _by_formula(solid: Solid) -> MassProperties | None:
         along, volume = np.outer(axis, axis) / h**2, np.pi * r**2 * h
         squares = volume * (r**2 / 4.0 * (np.eye(3) - along) + h**2 / 12.0 * along)
         return MassProperties(volume, solid.points.mean(axis=0), _inertia(squares, dim))
+    if solid.kind == MESH:
+        return _enclosed(mesh_triangles(solid))
     return None
+
+
+def _enclosed(corners: Array) -> MassProperties:
+    """Return those of what triangles (T, 3, 3) enclose: sums over tetrahedra with a common corner (Gauss's theorem).
+
+    A tetrahedron with corners 0, a, b, c has det(a, b, c) / 6 as volume, a quarter of s = a + b + c as centroid, and
+    det / 120 (a a^T + b b^T + c c^T + s s^T) as integral of x x^T.
+    """
+    middle = corners.mean(axis=(0, 1))  # a common corner near the centroid, so that little cancels
+    x = corners - middle
+    det, s = np.linalg.det(x), x.sum(axis=1)
+    volume = float(det.sum()) / 6.0
+    center = det @ s / (24.0 * volume)
+    squares = (np.einsum("t,tki,tkj->ij", det, x, x) + np.einsum("t,ti,tj->ij", det, s, s)) / 120.0
+    return MassProperties(volume, middle + center, _inertia(squares - volume * np.outer(center, center), 3))
 
 
 def _counted(shape: Shape, lower: Array, upper: Array) -> MassProperties:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import eigvalsh
@@ -76,7 +77,9 @@ def _part(scene: Scene, body: RigidBody) -> RigidPart:
     if not body.free or found is None:
         return RigidPart(found, center, np.ones(3), np.eye(3), None, np.zeros((6, 6)))
     shape: Shape = body.shape.value
-    skin = make_skin(shape.inside, *shape.bounds(), scene.world.dx / PER_CELL)
+    lower, upper = shape.bounds()
+    measure: Any = shape.distance if shape.distance(lower[None]) is not None else None
+    skin = make_skin(shape.inside, lower, upper, scene.world.dx / PER_CELL, measure)
     arms = np.pad(skin.x, ((0, 0), (0, 3 - scene.dim))) - center
     J = np.concatenate([np.broadcast_to(np.eye(3), (len(arms), 3, 3)), np.cross(np.eye(3), arms[:, None])], axis=2)
     spring = np.einsum("s,sij,sik->jk", skin.area, J, J)
@@ -158,7 +161,7 @@ def rigid_problems(scene: Scene) -> Iterator[tuple[str, str]]:
             yield (
                 f"{path}.shape",
                 f"{error}, so soft bodies cannot touch it: use a half_space, height_field, box, ball, capsule, "
-                "cylinder, cone, polygon, or a union of them",
+                "cylinder, cone, polygon, closed mesh, or a union of them",
             )
             continue
         if is_infinite(body) and body.free:

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from cqrun.boundaries.solid import BOX, CAPSULE, CONE, POLYGON, Solid
+from cqrun.boundaries.solid import BOX, CAPSULE, CONE, MESH, POLYGON, Solid
 from cqrun.figures.style import GREY
 from cqrun.figures.views import View
+from cqrun.geometry.mesh_tree import mesh_triangles
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 from cqrun.store.rigid_motion import RigidMotions, columns_of
@@ -22,12 +23,15 @@ if TYPE_CHECKING:
 ROUND = 48
 """Points of a circle."""
 
+PIXELS, RIM = 600, 2
+"""Of the image in which the outline of a mesh is found: along its longer side, and around it."""
+
 FACE, OPACITY = "#B8C4CE", 0.55
 """Colour of rigid bodies; soft bodies behind them shine through."""
 
 
 def outlines(scene: Scene, motions: RigidMotions | None, step: int, look: View) -> list[Array]:
-    """Return a polygon (k, 2) [m] in the plane of a view for each bounded solid of each rigid body.
+    """Return a polygon (k, 2) [m] in the plane of a view for each bounded solid of each rigid body; of a mesh, some.
 
     Args:
         scene: the scene.
@@ -42,14 +46,18 @@ def outlines(scene: Scene, motions: RigidMotions | None, step: int, look: View) 
             if motions is not None and name in motions.rows:
                 row = motions.rows[name][min(step, len(motions.time) - 1)]
                 x = placed(x, row, motions.center[name])
-            if len(x):
-                plane = x @ look.axes.T
+            plane = x @ look.axes.T
+            if solid.kind == MESH:
+                found += _silhouette(plane.reshape(-1, 3, 2))
+            elif len(x):
                 found.append(plane if solid.kind == POLYGON else _hull(plane))
     return found
 
 
 def corners_of(solid: Solid) -> Array:
     """Return points on the surface of a solid at rest (n, D), whose hull it is, or the corners of a polygon in 2D.
+
+    Those of a mesh are the corners of one triangle after the other.
 
     There are none for a solid without bounds.
     """
@@ -64,6 +72,8 @@ def corners_of(solid: Solid) -> Array:
         side = np.linalg.svd(axis[None])[2][1:]
         circle = _directions(2) @ side
         return np.concatenate([end + radius * circle for end, radius in zip(points, solid.lengths, strict=True)])
+    if solid.kind == MESH:
+        return mesh_triangles(solid).reshape(-1, 3)
     if solid.kind == POLYGON and dim == 2:
         return np.asarray(points[0] + solid.lengths.reshape(-1, 2) @ axes)
     return np.zeros((0, dim))
@@ -94,6 +104,35 @@ def _hull(plane: Array) -> Array:
         return np.asarray(plane[ConvexHull(plane).vertices])
     except QhullError:  # it is seen from its edge
         return plane
+
+
+def _silhouette(triangles: Array) -> list[Array]:
+    """Return the outlines (k, 2) of what triangles (T, 3, 2) of a plane cover, from an image of them."""
+    import contourpy
+    from PIL import Image, ImageDraw
+    from scipy.ndimage import uniform_filter
+
+    lower, upper = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    pixel = float((upper - lower).max()) / PIXELS
+    size = np.ceil((upper - lower) / pixel).astype(int) + 2 * RIM
+    image = Image.new("L", (int(size[0]), int(size[1])))
+    draw = ImageDraw.Draw(image)
+    for corners in ((triangles - lower) / pixel + RIM).tolist():
+        draw.polygon([tuple(corner) for corner in corners], fill=255, outline=255)
+    covered = uniform_filter(np.asarray(image, float), 3)  # so that the outline has no steps
+    kind = contourpy.FillType.OuterOffset
+    points, offsets = contourpy.contour_generator(z=covered, fill_type=kind).filled(127.5, 300.0)
+    return [lower + (_one_line(np.split(x, ends[1:-1])) - RIM) * pixel
+            for x, ends in zip(points, offsets, strict=True)]  # fmt: skip
+
+
+def _one_line(loops: list[Array]) -> Array:
+    """Return one polygon of an outline and of those of its holes, to which it goes and comes back."""
+    line = loops[0]
+    for hole in loops[1:]:
+        i, k = divmod(int(np.linalg.norm(line[:, None] - hole, axis=2).argmin()), len(hole))
+        line = np.concatenate([line[: i + 1], hole[k:-1], hole[: k + 1], line[i:]])
+    return line
 
 
 def plot_rigid(axes: Axes, polygons: list[Array], factor: float) -> PolyCollection:

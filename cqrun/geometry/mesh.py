@@ -9,10 +9,12 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field
 
+from cqrun.boundaries.solid import MESH, Solid
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.explain import Loc
 from cqrun.geometry.file_shape import FileShape, Stamp, stamp_of
 from cqrun.geometry.mesh_file import read_triangles
+from cqrun.geometry.mesh_tree import mesh_numbers
 from cqrun.geometry.place import Place
 from cqrun.geometry.shape import counted_volume
 from cqrun.geometry.shells import point_text
@@ -75,8 +77,7 @@ class Mesh(Place, FileShape):
     def distance(self, points: Array) -> tuple[Array, Array] | None:
         """Return the signed distances from the surface and its normals; None if it is open, or crosses itself."""
         surface = self._surface()
-        w = surface.winding
-        if surface.fault or (np.minimum(np.abs(w), np.abs(w - 1.0)) > _DECIDED).any():
+        if _undecided(surface):
             return None
         import igl
 
@@ -88,6 +89,14 @@ class Mesh(Place, FileShape):
     def bounds(self) -> tuple[Array, Array]:
         vertices = self.to_world(self._surface().vertices * UNITS[self.units])
         return vertices.min(axis=0), vertices.max(axis=0)
+
+    def solids(self) -> list[Solid]:
+        surface = self._surface()
+        if why := _undecided(surface):
+            raise UsageError(f"the distance from the surface of 'mesh' is not known, since {self.path.name} {why}")
+        numbers = _numbers(self.stamp(), self._stamps_of_cavities()).copy()
+        numbers[0] = UNITS[self.units]
+        return [self.solid_to_world(Solid(MESH, np.zeros((1, 3)), np.eye(3), numbers))]
 
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
         return to.to_world(self.to_local(points)), np.full(len(points), (to.scale / self.scale) ** 3)
@@ -120,8 +129,20 @@ class Mesh(Place, FileShape):
         return [*dict.fromkeys(warnings + _checked(self.path, self._surface()))] if self.cavities else warnings
 
     def _surface(self) -> Surface:
-        cavities = tuple(stamp_of(self.path_of(file)) for file in self.cavities)
-        return _cut_out(self.stamp(), cavities) if cavities else _read(*self.stamp())
+        return _found(self.stamp(), self._stamps_of_cavities())
+
+    def _stamps_of_cavities(self) -> tuple[Stamp, ...]:
+        return tuple(stamp_of(self.path_of(file)) for file in self.cavities)
+
+
+def _undecided(surface: Surface) -> str:
+    """Return why the distance from a surface has no sign, in words; empty if it has."""
+    if surface.fault:
+        return f"{surface.fault.what} ({surface.fault.cure})"
+    w = surface.winding
+    if (np.minimum(np.abs(w), np.abs(w - 1.0)) > _DECIDED).any():
+        return "has surfaces that overlap or cross (make them one)"
+    return ""
 
 
 def _checked(path: Path, surface: Surface) -> list[str]:
@@ -173,6 +194,18 @@ def _extent(surface: Surface) -> str:
     """Return from where to where a surface reaches, as text."""
     lower, upper = (point_text(end(surface.vertices, axis=0)) for end in (np.min, np.max))
     return f"from {lower} to {upper}"
+
+
+def _found(body: Stamp, cavities: tuple[Stamp, ...]) -> Surface:
+    """Return the surface in a file, with those of cavities in others."""
+    return _cut_out(body, cavities) if cavities else _read(*body)
+
+
+@lru_cache(maxsize=8)
+def _numbers(body: Stamp, cavities: tuple[Stamp, ...]) -> Array:
+    """Return the numbers with which kernels find the distance from a surface, in units of the file."""
+    surface = _found(body, cavities)
+    return mesh_numbers(surface.vertices, surface.faces)
 
 
 @lru_cache(maxsize=4)

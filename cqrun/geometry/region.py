@@ -10,7 +10,7 @@ from abc import abstractmethod
 from typing import Annotated, ClassVar, Protocol
 
 from cqrun.boundaries.solid import Solid
-from cqrun.errors import UsageError
+from cqrun.errors import UnknownDistance
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin
 
@@ -43,9 +43,10 @@ class Region(Plugin):
         """Return the solids with a signed distance whose union is the region: what bodies of the reference frame touch.
 
         Raises:
-            UsageError: a signed distance is not known.
+            UnknownDistance: no distance is known from shapes of this kind.
+            UsageError: none is known from this one, or a file cannot be read.
         """
-        raise UsageError(f"the distance from the surface of '{self.name}' is not known")
+        raise UnknownDistance(f"the distance from the surface of '{self.name}' is not known")
 
     @abstractmethod
     def pick(self, points: Points) -> Array:

@@ -163,3 +163,9 @@ def _plus_diagonal(a, s):
 def symmetric(a: Any) -> Any:
     """Return (A + A^T) / 2."""
     return scale(add(a, transpose(a)), 0.5)
+
+
+@register_jitable
+def vector(number: Any, i: int) -> Any:
+    """Return three numbers of an array, from the i-th on."""
+    return number[i], number[i + 1], number[i + 2]
