@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 ROUND = 48
 """Points of a circle."""
 
-PIXELS, RIM = 600, 2
+PIXELS, RIM = 300, 2
 """Of the image in which the outline of a mesh is found: along its longer side, and around it."""
 
 FACE, OPACITY = "#B8C4CE", 0.55
@@ -48,7 +48,7 @@ def outlines(scene: Scene, motions: RigidMotions | None, step: int, look: View) 
                 x = placed(x, row, motions.center[name])
             plane = x @ look.axes.T
             if solid.kind == MESH:
-                found += _silhouette(plane.reshape(-1, 3, 2))
+                found += silhouette(plane.reshape(-1, 3, 2))
             elif len(x):
                 found.append(plane if solid.kind == POLYGON else _hull(plane))
     return found
@@ -106,7 +106,7 @@ def _hull(plane: Array) -> Array:
         return plane
 
 
-def _silhouette(triangles: Array) -> list[Array]:
+def silhouette(triangles: Array) -> list[Array]:
     """Return the outlines (k, 2) of what triangles (T, 3, 2) of a plane cover, from an image of them."""
     import contourpy
     from PIL import Image, ImageDraw
@@ -120,10 +120,9 @@ def _silhouette(triangles: Array) -> list[Array]:
     for corners in ((triangles - lower) / pixel + RIM).tolist():
         draw.polygon([tuple(corner) for corner in corners], fill=255, outline=255)
     covered = uniform_filter(np.asarray(image, float), 3)  # so that the outline has no steps
-    kind = contourpy.FillType.OuterOffset
-    points, offsets = contourpy.contour_generator(z=covered, fill_type=kind).filled(127.5, 300.0)
-    return [lower + (_one_line(np.split(x, ends[1:-1])) - RIM) * pixel
-            for x, ends in zip(points, offsets, strict=True)]  # fmt: skip
+    contours = contourpy.contour_generator(z=covered, fill_type=contourpy.FillType.OuterOffset)
+    filled: Any = contours.filled(127.5, 300.0)  # points, and where those of each loop begin, for each outline
+    return [lower + (_one_line(np.split(x, begin[1:-1])) - RIM) * pixel for x, begin in zip(*filled, strict=True)]
 
 
 def _one_line(loops: list[Array]) -> Array:

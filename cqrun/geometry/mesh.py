@@ -52,6 +52,8 @@ class Mesh(Place, FileShape):
     A point is inside if its winding number is above 1/2. So small holes do no harm, and bodies that overlap in a file
     are joined. A closed shell inside another one is a cavity, whichever way its faces point; so are the shells of the
     files in `cavities`. Faces that are turned over, doubled or loose are mended, with a warning.
+
+    A rigid body or an obstacle of the reference frame may be a mesh, too, if it is closed and does not overlap itself.
     """
 
     units: Literal["m", "cm", "mm", "in"] = Field(
@@ -91,6 +93,12 @@ class Mesh(Place, FileShape):
         return vertices.min(axis=0), vertices.max(axis=0)
 
     def solids(self) -> list[Solid]:
+        """Return the mesh as a solid, of which inside the bounds the distance is exact.
+
+        Raises:
+            UsageError: it has holes, or overlaps itself, so that a distance has no sign; or a file cannot be read.
+            MissingExtra: a library is not installed.
+        """
         surface = self._surface()
         if why := _undecided(surface):
             raise UsageError(f"the distance from the surface of 'mesh' is not known, since {self.path.name} {why}")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
+from cqrun.boundaries.solid import BOX, MESH
 from cqrun.build.inertia import mass_properties, principal
 from cqrun.build.model import build
 from cqrun.engine.model import Inputs
@@ -15,6 +18,7 @@ from cqrun.errors import SceneError
 from cqrun.geometry.ball import Ball
 from cqrun.geometry.box import Box
 from cqrun.geometry.cylinder import Cylinder
+from cqrun.geometry.mesh import Mesh
 from cqrun.jobs.rest import require_no_time
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
@@ -201,6 +205,110 @@ def test_mass_properties(shape):
     np.testing.assert_allclose(counted.center, found.center, rtol=0, atol=1e-3)
     moments, axes = principal(found.inertia)
     np.testing.assert_allclose(axes.T @ np.diag(moments) @ axes, found.inertia, rtol=0, atol=1e-3 * moments.max())
+
+
+def saved(mesh: Any, path: Path, **fields: Any) -> Mesh:
+    """Write a mesh, and return it as a shape."""
+    mesh.export(path)
+    return Mesh(file=str(path), **fields)
+
+
+def test_mass_properties_of_a_mesh_are_exact(tmp_path):
+    """A turned box with a box cut out of it, in millimetres; by hand, the difference of both."""
+    trimesh, turn = pytest.importorskip("trimesh"), [20.0, -30.0, 40.0]
+    outer, inner = trimesh.creation.box((80, 120, 40)), trimesh.creation.box((20, 40, 10))
+    inner.apply_translation((16, 32, -8))
+    inner.export(tmp_path / "inner.stl")
+    place = {"units": "mm", "scale": 0.5, "offset": [1.0, 2.0, 3.0], "rotation": turn}
+    shape = saved(outer, tmp_path / "outer.stl", **place, cavities=[str(tmp_path / "inner.stl")])
+    found, R = mass_properties(shape, shape.solids()), shape.matrix(3)
+    parts = [(1, np.array([80, 120, 40]), np.zeros(3)), (-1, np.array([20, 40, 10]), np.array([16.0, 32.0, -8.0]))]
+    m = np.array([sign * np.prod(size * 5e-4) for sign, size, _ in parts])
+    at = 5e-4 * np.array([place for _, _, place in parts])
+    center = m @ at / m.sum()
+    inertia = np.zeros((3, 3))
+    for mass, (_, size, _), x in zip(m, parts, at - center, strict=True):
+        square = (size * 5e-4) ** 2
+        inertia += mass * (np.diag(square.sum() - square) / 12 + x @ x * np.eye(3) - np.outer(x, x))
+    assert found.volume == pytest.approx(m.sum(), rel=1e-12)
+    np.testing.assert_allclose(found.center, [1.0, 2.0, 3.0] + R @ center, rtol=1e-13)
+    np.testing.assert_allclose(found.inertia, R @ inertia @ R.T, rtol=0, atol=1e-12 * inertia.max())
+    ball = saved(trimesh.creation.icosphere(subdivisions=4), tmp_path / "ball.stl")
+    assert mass_properties(ball, ball.solids()).volume == pytest.approx(ball.volume(), rel=1e-12)
+
+
+def of_mesh(shape: dict[str, Any], **fields: Any) -> dict[str, Any]:
+    """Return a soft block in 3D and a rigid body."""
+    block = BLOCK | {"shape": {"box": {"corner": [0.2, 0.2, 0.1], "size": [0.2, 0.2, 0.1]}}, "particles_per_cell": 8}
+    return {
+        "cqrun": 1, "world": {"size": [0.6, 0.6, 0.6], "dx": 0.05, "gravity": [0, 0, -9.81]},
+        "bodies": {"block": block},
+        "rigid": {"part": {"shape": shape, **fields}}, "time": {"duration": 0.1, "control_step": 0.05},
+    }  # fmt: skip
+
+
+def test_a_free_mesh_has_the_numbers_of_its_box(tmp_path):
+    """Mass, centre, inertia, bounds on the substep and the skin."""
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((75, 100, 125)).export(tmp_path / "box.stl")
+    free = {"motion": "free", "density": 800}
+    mesh = {"mesh": {"file": str(tmp_path / "box.stl"), "units": "mm", "offset": [0.3, 0.3, 0.4]}}
+    box = {"box": {"corner": [0.2625, 0.25, 0.3375], "size": [0.075, 0.1, 0.125]}}
+    found, wanted = (build(load_scene(of_mesh(shape, **free))) for shape in (mesh, box))
+    numbers = [built.assembly.inputs({}).rigid[0] for built in (found, wanted)]
+    np.testing.assert_allclose(*numbers, rtol=1e-12)
+    body, other = (built.model.rigid[0] for built in (found, wanted))
+    np.testing.assert_allclose(body.skin, other.skin, rtol=0, atol=2e-10)  # a box counts 1e-9 of its size as inside
+    np.testing.assert_allclose(body.stiffness, other.stiffness, rtol=1e-8)
+    np.testing.assert_allclose(body.center, other.center, rtol=1e-13)
+    assert body.radius == pytest.approx(other.radius, rel=1e-12)
+    assert found.model.dt == pytest.approx(wanted.model.dt, rel=1e-8)
+
+
+def test_meshes_that_soft_bodies_cannot_touch_say_why(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
+    names = ("holed.stl", "bowl.stl", "two.stl", "big.stl")
+    files = {name: str(tmp_path / name) for name in names} | {"none.stl": str(tmp_path / "none.stl")}
+    for name, kept in (("holed.stl", np.arange(1280) % 20 > 0), ("bowl.stl", ball.triangles_center[:, 2] < 0)):
+        cut = ball.copy()
+        cut.update_faces(kept)
+        cut.export(files[name])
+    trimesh.util.concatenate([ball, ball.copy().apply_translation((0.03, 0, 0))]).export(files["two.stl"])
+    ball.copy().apply_scale(1000).export(files["big.stl"])
+    words = {
+        "holed.stl": "rigid.part.shape: the distance from the surface of 'mesh' is not known, since holed.stl has "
+                     "holes (close its holes), so soft bodies cannot touch it: use a half_space",
+        "bowl.stl": "has holes: for",
+        "two.stl": "since two.stl has surfaces that overlap or cross (make them one), so soft bodies cannot",
+        "none.stl": "rigid.part.shape.mesh.file: ",
+        "big.stl": "is its file in millimetres? then give `units: mm`",
+    }  # fmt: skip
+    for name, message in words.items():
+        with pytest.raises(SceneError) as raised:
+            build(load_scene(of_mesh({"mesh": {"file": files[name], "offset": [0.3, 0.3, 0.4]}})))
+        assert message in str(raised.value), name
+    with pytest.raises(SceneError, match="a mesh needs a 3D world"):
+        load_scene(scene(rigid={"ball": {"shape": {"mesh": {"file": files["holed.stl"]}}}}))
+
+
+def test_an_obstacle_from_a_file_needs_no_normal(tmp_path):
+    """The scene lies in another folder than the one in which it is checked, and a file that is not there is named."""
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((400, 400, 80)).export(tmp_path / "plate.stl")
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(with_obstacle("plate.stl")))
+    (obstacle,) = build(load_scene(tmp_path / "scene.yaml")).model.obstacles
+    assert [solid.kind for solid in obstacle.solids] == [MESH, BOX]
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(with_obstacle("absent.stl")))
+    with pytest.raises(SceneError, match=r"boundaries\.ground\.separate\.region.*file: .*absent\.stl: cannot be read"):
+        build(load_scene(tmp_path / "scene.yaml"))
+
+
+def with_obstacle(file: str) -> dict[str, Any]:
+    """Return a soft block above a plate and a box."""
+    plate = {"mesh": {"file": file, "units": "mm", "offset": [0.3, 0.3, 0.05]}}
+    region = {"union": [plate, {"box": {"corner": [0.0, 0.0, 0.0], "size": [0.1, 0.1, 0.2]}}]}
+    return of_mesh(BALL["shape"]) | {"rigid": {}, "boundaries": {"ground": {"separate": {"region": region}}}}
 
 
 def test_numbers_reach_the_engine():

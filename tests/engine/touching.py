@@ -14,10 +14,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cqrun.boundaries.solid import CAPSULE, PLANE, Solid
+from cqrun.boundaries.solid import CAPSULE, MESH, PLANE, Solid
 from cqrun.engine.model import Inputs, Model
 from cqrun.engine.reference.meeting import REACH
 from cqrun.engine.reference.rub import ONSET
+from cqrun.geometry.mesh_tree import mesh_triangles
 
 Array = np.ndarray
 
@@ -26,11 +27,26 @@ def distance(solid: Solid, x: Array) -> tuple[Array, Array]:
     """Return the signed distance and the normal at a position."""
     if solid.kind == PLANE:
         return (x - solid.points[0]) @ solid.directions[0], solid.directions[0].astype(x.dtype)
+    if solid.kind == MESH:
+        return _distance_to_mesh(solid, x)
     assert solid.kind == CAPSULE
     assert (solid.points[0] == solid.points[1]).all()
     arm = x - solid.points[0]
     r = np.sqrt((arm * arm).sum())
     return r - solid.lengths[0], arm / r
+
+
+def _distance_to_mesh(solid: Solid, x: Array) -> tuple[Array, Array]:
+    """Return those of a mesh: the nearest triangle by another library, and the sign by its winding number."""
+    import igl
+
+    triangles = mesh_triangles(solid)
+    vertices, faces, here = triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), x.real[None]
+    k = int(np.ravel(igl.point_mesh_squared_distance(here, vertices, faces)[1])[0])
+    arm = x - nearest(x, triangles[k])[0] @ triangles[k]
+    inside = np.ravel(igl.winding_number(vertices, faces, here))[0] > 0.5
+    d = (-1 if inside else 1) * np.sqrt((arm * arm).sum())
+    return d, arm / d
 
 
 @dataclass

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cqrun.errors import UsageError
-from cqrun.figures.rigid import corners_of, outlines, placed
+from cqrun.figures.rigid import corners_of, outlines, placed, silhouette
 from cqrun.figures.views import PLANE
 from cqrun.geometry.box import Box
 from cqrun.geometry.cylinder import Cylinder
@@ -77,6 +77,19 @@ def test_outlines_follow_the_motion():
     (before,), (after,) = (outlines(scene, moved, step, PLANE) for step in (0, 1))
     np.testing.assert_allclose([before.min(axis=0), before.max(axis=0)], [[0.5, 0.5], [0.7, 0.6]])
     np.testing.assert_allclose([after.min(axis=0), after.max(axis=0)], [[0.65, 0.65], [0.75, 0.85]])
+
+
+def test_a_mesh_is_drawn_with_its_dents_and_holes(tmp_path):
+    """A bent and a closed frame: the outline encloses what is there, to the image's pixels."""
+    trimesh = pytest.importorskip("trimesh")
+    ring = trimesh.creation.annulus(r_min=0.1, r_max=0.15, height=0.04)
+    half = trimesh.intersections.slice_mesh_plane(ring, [1, 0, 0], [0, 0, 0])  # open, which a picture does not mind
+    for mesh, area in ((ring, np.pi * (0.15**2 - 0.1**2)), (half, np.pi / 2 * (0.15**2 - 0.1**2))):
+        (outline,) = silhouette(np.array(mesh.triangles)[..., :2])
+        x, y = outline.T
+        assert 0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) == pytest.approx(area, rel=0.03)
+        low, high = mesh.bounds[:, :2]
+        np.testing.assert_allclose([outline.min(axis=0), outline.max(axis=0)], [low, high], atol=1.5e-3)
 
 
 @pytest.mark.parametrize(
