@@ -15,38 +15,21 @@ import fcntl
 import hashlib
 import os
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from llvmlite import binding, ir
-from numba import config, njit
-from numba.core import caching, codegen, types
+from llvmlite import ir
+from numba import config
+from numba.core import caching, extending, types
+from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic, overload
 
-_compiled = partial(njit, nogil=True, error_model="numpy", fastmath={"contract"})
+from cqrun.numerics.linking import OF_ONE_BODY, Kernel
+
+extending._overload_default_jit_options["no_cfunc_wrapper"] = True
+
+_OPTIONS = {"nopython": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "no_cfunc_wrapper": True}
 _KERNELS: list[Any] = []
-_OF_ONE_BODY: set[str] = set()
-
-
-class _OwnHelpers(codegen.JITCodeLibrary):
-    """Compiled code that calls its own copies of helpers, never those of another kernel.
-
-    Numba puts a weak copy of a helper into every kernel that calls it, and the run-time linker binds all calls to the
-    copy that it loads first. Each copy is optimised in its own surroundings, so copies fuse different additions and
-    products. The last bits of a result would then depend on the order in which kernels were compiled or loaded.
-    """
-
-    def _optimize_final_module(self) -> None:
-        for function in self._final_module.functions:
-            if not function.is_declaration and function.linkage == binding.Linkage.linkonce_odr:
-                function.linkage = "internal"
-                if any(name in function.name for name in _OF_ONE_BODY):
-                    function.add_function_attribute("noinline")
-        super()._optimize_final_module()
-
-
-codegen.JITCPUCodegen._library_class = _OwnHelpers
 
 
 CACHE_PROBLEMS: dict[str, bool] = {}
@@ -137,12 +120,16 @@ def one_body(function: Callable[..., Any]) -> Any:
 
     It is never inlined, because inlined copies would be optimised in different ways.
     """
-    _OF_ONE_BODY.add(f"{len(function.__name__)}{function.__name__}")  # its form in mangled names
+    OF_ONE_BODY.add(f"{len(function.__name__)}{function.__name__}")  # its form in mangled names
     return kernel(function)
 
 
 def _kernel(function: Callable[..., Any], references: bool) -> Any:
-    compiled = _compiled(_nrt=references)(function)
+    if config.DISABLE_JIT:
+        return function
+    options = {**_OPTIONS, "_nrt": references}
+    compiled = Kernel(function, targetoptions=options)
+    compiled.helper = CPUDispatcher(function, targetoptions={**options, "no_cpython_wrapper": True})
     _KERNELS.append(compiled)
     _cache(compiled)
     return compiled
@@ -150,8 +137,6 @@ def _kernel(function: Callable[..., Any], references: bool) -> Any:
 
 def _cache(compiled: Any) -> None:
     """Keep the versions of a kernel, unless no folder for them can be written."""
-    if config.DISABLE_JIT:
-        return
     try:
         compiled.enable_caching()
     except RuntimeError:
