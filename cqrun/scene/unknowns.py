@@ -118,8 +118,12 @@ def groups_of(scene: Scene, path: str) -> tuple[str, ...]:
 
 def findings_of_paths(scene: Scene) -> list[InitErrorDetails]:
     """Return what is wrong with the unknowns, the synthetic truth and the recordings' overrides."""
-    findings = [item for path, unknown in scene.unknowns.items() for item in _unknown(scene, path, unknown)]
-    return [*findings, *_duplicates(scene), *_of_recordings(scene), *_truth(scene), *_overrides(scene)]
+    useless = list(_of_recordings(scene))
+    removed = {item["loc"][1] for item in useless}  # nothing else that is wrong with these matters
+    findings = [
+        item for path, spec in scene.unknowns.items() if path not in removed for item in _unknown(scene, path, spec)
+    ]
+    return [*findings, *_duplicates(scene), *useless, *_truth(scene), *_overrides(scene)]
 
 
 def _unknown(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails]:

@@ -250,6 +250,16 @@ def test_scenes_that_do_not_fit(name, folder):
     assert message in str(error.value)
 
 
+@pytest.mark.parametrize("what", ["offset.0", "rotation.0"])
+def test_an_unknown_placement_of_forces_is_one_fault(folder, what):
+    unknowns = f"  data.recordings.prop.{what}: {{bounds: [-0.1, 0.1]}}\n"
+    with pytest.raises(SceneError) as error:
+        load_scene(scene_of(folder, PROP, unknowns))
+    (problem,) = error.value.problems
+    assert problem.path == f"unknowns.data.recordings.prop.{what}"
+    assert problem.message == "has no meaning for the measurement `force`: remove it"
+
+
 def test_a_moment_in_a_plane_is_about_z(folder):
     scene = changed(scene_of(folder, CLAMP), "boundary: clamp,", "boundary: clamp, component: x,")
     with pytest.raises(SceneError, match=r"moment\.component: a moment in a 2D world is about z"):
