@@ -50,7 +50,7 @@ def without_gaps(curve: Curve, seen: Array) -> Curve:
     if not gaps:
         return curve
     lines = "line" if gaps == 1 else "lines"
-    return curve.at(seen, f"{gaps} {lines} without numbers removed (first: line {curve.line[~seen][0]})")
+    return curve.at(seen, f"{gaps} {lines} without numbers removed (first: {curve.source}:{curve.line[~seen][0]})")
 
 
 def require_points(curve: Curve) -> None:

@@ -127,7 +127,7 @@ def _numbers(table: Table, rows: Sequence[int], known: Sequence[Column], remarks
     if words:
         first, place = min(words)
         count = f"{len(words)} cells are no numbers and count" if len(words) > 1 else "1 cell is no number and counts"
-        where = f"'{cut(cells[first][place])}' in line {table.rows[first].line}"
+        where = f"'{cut(cells[first][place])}' at {table.source}:{table.rows[first].line}"
         remarks.append(f"{count} as missing (first: {where})")
     for k, place in words:
         cells[k][place] = ""

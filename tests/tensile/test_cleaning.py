@@ -38,7 +38,7 @@ def test_rows_without_numbers_are_removed(tmp_path):
     stress[[3, 50]] = np.nan
     curve = cleaned(pull(tmp_path, STRAIN, stress))
     assert len(curve.stretch) == 99
-    assert said(curve, "2 lines without numbers removed (first: line 6)")
+    assert said(curve, "2 lines without numbers removed (first: pull.csv:6)")
 
 
 @pytest.mark.parametrize(("n", "message"), [(1, "one point"), (2, "2 points")])

@@ -256,7 +256,7 @@ def test_a_cell_that_is_no_number_is_missing_and_told(tmp_path, sign, place, mor
         return
     assert len(curve.stress) == 31
     assert np.flatnonzero(np.isnan(curve.stress)).tolist() == [place]
-    assert f"1 cell is no number and counts as missing (first: '{sign}' in line {place + 3})" in curve.remarks
+    assert f"1 cell is no number and counts as missing (first: '{sign}' at pull.csv:{place + 3})" in curve.remarks
 
 
 def test_the_first_row_belongs_to_the_table_although_its_stress_is_missing(tmp_path):

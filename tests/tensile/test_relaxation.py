@@ -136,7 +136,7 @@ def test_a_line_without_a_number_is_removed_and_the_test_still_relaxes(tmp_path,
     assert is_relaxation(read)
     fit = fit_relaxation(read)
     assert fit.prony.moduli == pytest.approx([0.3, 0.15], rel=0.01)
-    assert "2 lines without numbers removed (first: line 253)" in fit.curve.remarks
+    assert "2 lines without numbers removed (first: relax.csv:253)" in fit.curve.remarks
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
