@@ -1,6 +1,6 @@
 """Observers, a controller and the actuators' limits as one policy (`engine/policy.py`).
 
-    z = observe(record, memory),  u = controller(z, t),  a_k = limited(u mapped to the limits, a_{k-1})
+    z = observe(sight, memory),  u = controller(z, t),  a_k = limited(u mapped to the limits, a_{k-1})
 
 The memory is that of the observers. If an actuator has a rate, the activations of the previous control step follow; at
 the first control step these are the activations that do nothing.
@@ -15,7 +15,8 @@ import numpy as np
 
 from cqrun.actuators.actuator import within_limits
 from cqrun.controllers.controller import Controller
-from cqrun.observers.observer import Moment, Observation
+from cqrun.engine.policy import Sight, SightBar
+from cqrun.observers.observer import Moment, MomentBar, Observation
 from cqrun.plugin.contract import Array
 from cqrun.state import State, state_table
 
@@ -77,16 +78,16 @@ class ControlPolicy:
         half = 0.5 * (limits.high - limits.low)
         self._scale, self._shift = (half, limits.low + half) if controller.bounded else (np.ones_like(half), 0.0 * half)
 
-    def act(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
+    def act(self, control: int, sight: Sight, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
         """Return the activations (A,) of a control step, and the next memory (M,)."""
-        z, observers_memory = self.observe(control, record, memory, state)
+        z, observers_memory = self.observe(control, sight, memory, state)
         self.observations.append(z)
         u = self.controller.act(self.parameters, z, control, control * self.control_step)
         return self.activate(u, observers_memory, memory)
 
-    def observe(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
+    def observe(self, control: int, sight: Sight, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
         """Return the observations (Z,), and the observers' next memory."""
-        return self.observation.observe(self._moment(control, record, memory, state))
+        return self.observation.observe(self._moment(control, sight, memory, state))
 
     def activate(self, u: Array, observers_memory: Array, memory: Array) -> tuple[Array, Array]:
         """Return the activations (A,) for the controller's output u (A,), and the next memory (M,)."""
@@ -94,11 +95,11 @@ class ControlPolicy:
         return activation, np.concatenate([observers_memory, activation]) if self.slow else observers_memory
 
     def act_vjp(
-        self, control: int, record: Array, memory: Array, state: Callable[[], State], activation_bar: Array,
+        self, control: int, sight: Sight, memory: Array, state: Callable[[], State], activation_bar: Array,
         memory_bar: Array, parameters_bar: dict[str, Array],
-    ) -> tuple[Array, Array, State | None]:  # fmt: skip
-        """Return the cotangents of record, memory and state; add those of the parameters to `parameters_bar`."""
-        moment, time = self._moment(control, record, memory, state), control * self.control_step
+    ) -> tuple[SightBar, Array, State | None]:  # fmt: skip
+        """Return the cotangents of sight, memory and state; add those of the parameters to `parameters_bar`."""
+        moment, time = self._moment(control, sight, memory, state), control * self.control_step
         z, _ = self.observation.observe(moment)
         _, by_wanted, by_previous = self._limited(self.controller.act(self.parameters, z, control, time), memory)
         n = self.observation.n_memory
@@ -112,7 +113,7 @@ class ControlPolicy:
             out[:n] = bar.memory
         if self.slow:
             out[n:] = by_previous * total_bar
-        return self._record_bar(record.shape, bar), out, bar.state
+        return self._sight_bar(sight, bar), out, bar.state
 
     def parameters_zero(self) -> dict[str, Array]:
         """Return zero cotangents of the controller's parameters, by block."""
@@ -124,19 +125,21 @@ class ControlPolicy:
         previous = memory[self.observation.n_memory :] if self.slow else limits.neutral
         return within_limits(self._shift + self._scale * u, previous, limits.low, limits.high, limits.change)
 
-    def _moment(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> Moment:
+    def _moment(self, control: int, sight: Sight, memory: Array, state: Callable[[], State]) -> Moment:
         D, k = self.dim, self.observation.rows.shape[0]
-        fields, sums = state_table(D).fields, record[:, :k].T
+        fields, sums = state_table(D).fields, sight.rows[:, :k].T
         x, v, C, F = (sums[:, state_table(D).rows[f.name]].reshape(k, *f.shape) for f in fields)
         return Moment(
             x, v, C, F, control * self.control_step, control, self.goals, memory[: self.observation.n_memory], state,
+            sight.rigid, sight.held, sight.activation if control > 0 else self.limits.neutral, sight.strength,
+            sight.rest_length, sight.friction,
         )  # fmt: skip
 
-    def _record_bar(self, shape: tuple[int, ...], bar: object) -> Array:
-        """Return the cotangent of the probe's rows (rows, K) from that of a moment."""
-        k, out = self.observation.rows.shape[0], np.zeros(shape)
+    def _sight_bar(self, sight: Sight, bar: MomentBar) -> SightBar:
+        """Return the cotangent of what is seen from that of a moment."""
+        k, out = self.observation.rows.shape[0], np.zeros(sight.rows.shape)
         for name, rows in state_table(self.dim).rows.items():
             part = getattr(bar, name)
             if part is not None:
                 out[rows, :k] = part.reshape(k, -1).T
-        return out
+        return SightBar(out, bar.rigid, bar.held, bar.activation, bar.strength, bar.rest_length, bar.friction)

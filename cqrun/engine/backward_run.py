@@ -9,6 +9,7 @@ import numpy as np
 
 from cqrun.engine.forward_run import ForwardRun
 from cqrun.engine.model import Inputs, LossBar
+from cqrun.engine.policy import SightBar
 from cqrun.engine.setting import Drive
 from cqrun.forces.force import Levels
 from cqrun.numerics.packed import aligned, unpack
@@ -114,15 +115,26 @@ class BackwardRun(ABC):
         """Carry the cotangent of a control step's activations back through the policy."""
         r = self.rollout
         assert r.policy is not None
-        record_bar, self.memory_bar, state_bar = r.policy.act_vjp(
-            control, r.records[control], r.memory[control], lambda: r.unpack(q, control),
+        bar, self.memory_bar, state_bar = r.policy.act_vjp(
+            control, r.sight(control), r.memory[control], lambda: r.unpack(q, control),
             self.drive_bar.levels.activation[control, : len(r.model.actuators)], self.memory_bar, self.parameters_bar,
         )  # fmt: skip
         if state_bar is not None:
             self._add_state(state_bar)
-        self.size_before[control] = self._size(record_bar)
-        self.records_bar[control] += record_bar
+        self.size_before[control] = self._size(bar.rows)
+        self._add_sight(control, bar)
         self.size_after[control] = self._size(self.records_bar[control])
+
+    def _add_sight(self, control: int, bar: SightBar) -> None:
+        """Add the cotangent of what the policy saw at the start of a control step, all of which is older than it."""
+        self.records_bar[control] += bar.rows
+        levels = self.drive_bar.levels
+        if control > 0 and bar.activation is not None:
+            levels.activation[control - 1, : len(bar.activation)] += bar.activation
+        given = (levels.strength, bar.strength), (levels.rest, bar.rest_length), (levels.friction, bar.friction)
+        for total, more in given:
+            if more is not None:
+                total += more
 
     def _size(self, record_bar: Array) -> float:
         """Return |q_bar| after the cotangent of a record is added; the next substep backward adds it."""

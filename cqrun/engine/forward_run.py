@@ -10,7 +10,7 @@ import numpy as np
 from numba import config
 
 from cqrun.engine.model import Inputs, Model, Records
-from cqrun.engine.policy import Policy
+from cqrun.engine.policy import Policy, Sight
 from cqrun.engine.setting import Drive, Group, Probe
 from cqrun.engine.suspects import group_of
 from cqrun.engine.team import Team
@@ -184,6 +184,15 @@ class ForwardRun(ABC):
         """Return what is seen of every rigid body at a control step, by name; see `Records.rigid`."""
         return {}
 
+    def sight(self, control: int) -> Sight:
+        """Return what a policy sees at the start of a control step that has been reached."""
+        levels = self.drive.levels
+        before = self.activation[control - 1] if control > 0 else np.zeros(len(self.model.actuators))
+        return Sight(
+            self.records[control], self.rigid_at(control), self.held_at(control), before, levels.strength, levels.rest,
+            levels.friction,
+        )  # fmt: skip
+
     def advance(self, begin: int, end: int, states: Array, *, keep: bool) -> None:
         """Run substeps begin .. end from states[0]; with `keep`, states[k] becomes the state after k of them.
 
@@ -201,7 +210,7 @@ class ForwardRun(ABC):
     def _decide(self, control: int, q: Array) -> None:
         assert self.policy is not None
         self.activation[control], self.memory[control + 1] = self.policy.act(
-            control, self.records[control], self.memory[control], lambda: self.unpack(q, control)
+            control, self.sight(control), self.memory[control], lambda: self.unpack(q, control)
         )
         self.decided = control + 1
 

@@ -150,7 +150,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
     def _see(self) -> Array:
         rollout, control = self.rollout, self.control
         self.observation, self.remembered = self.policy.observe(
-            control, rollout.records[control], rollout.memory[control], lambda: rollout.unpack(self.states[0], control)
+            control, rollout.sight(control), rollout.memory[control], lambda: rollout.unpack(self.states[0], control)
         )
         return self.observation
 

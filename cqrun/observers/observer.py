@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import add
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,13 @@ from cqrun.state import State
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
+
+SUMS = ("x", "v", "C", "F")
+"""The parts of a moment that have a row for each sum over particles."""
+
+WHOLE, BY_NAME = ("state", "activation", "strength", "rest_length", "friction"), ("rigid", "held")
+"""The parts of a moment that all observers share, and those with several names; their cotangents add up."""
 
 
 @dataclass
@@ -36,6 +43,12 @@ class Moment:
         goals: goal -> its entries in this episode.
         memory: what the observer stored at the previous control step; zero at the start.
         state: returns the state of all particles, which it unpacks when called.
+        rigid: rigid body -> displacement, rotation vector (2D: angle), velocity and angular velocity (6,) or (12,).
+        held: boundary or rigid body -> force [N] and moment [N m] (D + 1,) or (6,) on the soft bodies: means over the
+            control step that has ended, zero at the start. Only those that a measured quantity, a term or a recording
+            of the scene names.
+        activation: (A,) that acted in the control step that has ended; at the start those that do nothing.
+        strength, rest_length, friction: (A',) of every part of actuators and forces, as in `Track`.
     """
 
     x: Array
@@ -47,6 +60,12 @@ class Moment:
     goals: Mapping[str, Array]
     memory: Array
     state: Callable[[], State]
+    rigid: Mapping[str, Array] = field(default_factory=dict)
+    held: Mapping[str, Array] = field(default_factory=dict)
+    activation: Array = field(default_factory=lambda: np.zeros(0))
+    strength: Array = field(default_factory=lambda: np.zeros(0))
+    rest_length: Array = field(default_factory=lambda: np.zeros(0))
+    friction: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass
@@ -59,6 +78,12 @@ class MomentBar:
     F: Array | None = None
     memory: Array | None = None
     state: State | None = None
+    rigid: Mapping[str, Array] | None = None
+    held: Mapping[str, Array] | None = None
+    activation: Array | None = None
+    strength: Array | None = None
+    rest_length: Array | None = None
+    friction: Array | None = None
 
 
 class BoundObserver(ABC):
@@ -139,19 +164,21 @@ class Observation(BoundObserver):
             o.observe_vjp(self._part(moment, k), raw_bar[self.values[k]], memory_next_bar[self._memory[k]])
             for k, o in enumerate(self.observers)
         ]
-        shared = ("x", "v", "C", "F")
-        joined = {name: joined_bar([getattr(b, name) for b in bars], self._rows, getattr(moment, name).shape)
-                  for name in shared}  # fmt: skip
-        memory = joined_bar([b.memory for b in bars], self._memory, (self.n_memory,))
-        return MomentBar(**joined, memory=memory, state=_total([b.state for b in bars if b.state is not None]))
+        out = MomentBar(memory=joined_bar([b.memory for b in bars], self._memory, (self.n_memory,)))
+        for name in SUMS:
+            own = [getattr(b, name) for b in bars]
+            setattr(out, name, joined_bar(own, self._rows, getattr(moment, name).shape))
+        for name in WHOLE:
+            setattr(out, name, _total([part for b in bars if (part := getattr(b, name)) is not None]))
+        for name in BY_NAME:
+            setattr(out, name, _by_name([part for b in bars if (part := getattr(b, name)) is not None]))
+        return out
 
     def _part(self, moment: Moment, k: int) -> Moment:
         """Return the part of the moment that observer k reads."""
         rows = self._rows[k]
-        return Moment(
-            moment.x[rows], moment.v[rows], moment.C[rows], moment.F[rows], moment.time, moment.control,
-            moment.goals, moment.memory[self._memory[k]], moment.state,
-        )  # fmt: skip
+        own = {name: getattr(moment, name)[rows] for name in SUMS}
+        return replace(moment, memory=moment.memory[self._memory[k]], **own)
 
 
 def joined_bar(bars: Sequence[Array | None], places: Sequence[slice], shape: tuple[int, ...]) -> Array | None:
@@ -169,7 +196,14 @@ def _joined(parts: Sequence[Array]) -> Array:
     return np.concatenate([np.zeros(0), *parts])
 
 
-def _total(bars: Sequence[State]) -> State | None:
-    if not bars:
-        return None
-    return reduce(add, bars)
+def _total(bars: Sequence[Any]) -> Any:
+    return reduce(add, bars) if bars else None
+
+
+def _by_name(bars: Sequence[Mapping[str, Array]]) -> dict[str, Array] | None:
+    """Return the sums of cotangents with the same name; None if there is none."""
+    out: dict[str, Array] = {}
+    for bar in bars:
+        for name, part in bar.items():
+            out[name] = out[name] + part if name in out else part
+    return out or None

@@ -164,14 +164,14 @@ class Excerpt:
     def _policy(self) -> None:
         r, control = self.rollout, self.control
         assert r.policy is not None
-        r.policy.act(control, r.records[control], r.memory[control], lambda: r.unpack(self.q, control))
+        r.policy.act(control, r.sight(control), r.memory[control], lambda: r.unpack(self.q, control))
 
     def _policy_vjp(self) -> None:
         r, control = self.rollout, self.control
         assert r.policy is not None
         memory = r.memory[control]
         r.policy.act_vjp(
-            control, r.records[control], memory, lambda: r.unpack(self.q, control), np.ones_like(r.activation[control]),
+            control, r.sight(control), memory, lambda: r.unpack(self.q, control), np.ones_like(r.activation[control]),
             np.zeros_like(memory), r.policy.parameters_zero(),
         )  # fmt: skip
 

@@ -10,6 +10,7 @@ from small_finger import FINGER
 from cqrun.build.model import build
 from cqrun.controllers.open_loop import OpenLoop
 from cqrun.controllers.policy import ControlPolicy, Limits
+from cqrun.engine.policy import Sight
 from cqrun.observers.observer import Observation
 from cqrun.scene.load import load_scene
 
@@ -18,6 +19,7 @@ LIMITS = Limits(np.array([-1.0, 0.0, 0.0]), np.ones(3), CHANGE, np.array([0.0, 1
 """Limits of a muscle, a cable, which does nothing at 1, and a chamber without a rate."""
 
 NO_OBSERVATIONS = Observation.of({}, made_matter(2))
+NOTHING = Sight(np.zeros((12, 0)))
 DIFFERENCE = 2.0**-20
 """A power of two, so that sums are exact and kinks are hit exactly."""
 
@@ -27,7 +29,7 @@ def acted(knots: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], ControlPolic
     policy = ControlPolicy(NO_OBSERVATIONS, OpenLoop(), {"knots": knots}, LIMITS, {}, 0.01, 2)
     activation, memory = np.zeros(knots.shape), [policy.memory]
     for control in range(len(knots)):
-        activation[control], following = policy.act(control, np.zeros((12, 0)), memory[-1], lambda: None)
+        activation[control], following = policy.act(control, NOTHING, memory[-1], lambda: None)
         memory.append(following)
     return activation, memory, policy
 
@@ -38,7 +40,7 @@ def gradient(knots: np.ndarray, bar: np.ndarray) -> np.ndarray:
     out, memory_bar = policy.parameters_zero(), np.zeros(len(policy.memory))
     for control in reversed(range(len(knots))):
         _, memory_bar, _ = policy.act_vjp(
-            control, np.zeros((12, 0)), memory[control], lambda: None, bar[control], memory_bar, out
+            control, NOTHING, memory[control], lambda: None, bar[control], memory_bar, out
         )
     return out["knots"]
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from cqrun.actuators import body_force, cable, muscle, pressure, tension
 from cqrun.engine.model import ActuatorModel, Inputs, Model, Records
-from cqrun.engine.policy import Policy
+from cqrun.engine.policy import Policy, Sight
 from cqrun.engine.setting import MARGIN
 from cqrun.state import State
 
@@ -278,7 +278,8 @@ def rollout(
             rows.append(seen(W, s))
             if policy is not None:
                 k, here = step // model.substeps, State(s.x, s.v, s.C, s.F, history=s.history)
-                inputs.activation[k], memory = policy.act(k, flat(rows[-1]), memory, lambda now=here: now)
+                what = sight(model, inputs, rows[-1], k)
+                inputs.activation[k], memory = policy.act(k, what, memory, lambda now=here: now)
         s, taken = substep(model, inputs, s, step)
         branches.append(taken)
     rows.append(seen(W, s))
@@ -297,6 +298,15 @@ def seen(W: Array, s: Moving) -> dict[str, Array]:
     """Return the probe's weighted sums over particles."""
     arrays = {name: getattr(s, name) for name in "xvCF"} | s.history
     return {name: np.einsum("kp,p...->k...", W, a) for name, a in arrays.items()}
+
+
+def sight(model: Model, inputs: Inputs, record: dict[str, Array], k: int, **more: Any) -> Sight:
+    """Return what a policy sees at the start of control step k."""
+    before = inputs.activation[k - 1] if k else np.zeros(len(model.actuators))
+    return Sight(
+        flat(record), activation=before, strength=inputs.strength, rest_length=inputs.rest, friction=inputs.friction,
+        **more,
+    )  # fmt: skip
 
 
 def flat(record: dict[str, Array]) -> Array:

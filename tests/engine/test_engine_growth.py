@@ -10,6 +10,7 @@ from little_worlds import world
 
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar, Records
+from cqrun.engine.policy import Sight, SightBar
 from cqrun.state import State
 
 T, STEEP = 7, 3
@@ -21,18 +22,18 @@ class Steep:
     def __init__(self, kind: str) -> None:
         self.kind = kind
 
-    def act(self, control: int, record: np.ndarray, memory: np.ndarray, state: Any) -> tuple[np.ndarray, np.ndarray]:
+    def act(self, control: int, sight: Sight, memory: np.ndarray, state: Any) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(5), memory
 
     def act_vjp(
-        self, control: int, record: np.ndarray, memory: np.ndarray, state: Any, activation_bar: np.ndarray,
+        self, control: int, sight: Sight, memory: np.ndarray, state: Any, activation_bar: np.ndarray,
         memory_bar: np.ndarray, parameters_bar: Any,
-    ) -> tuple[np.ndarray, np.ndarray, State | None]:  # fmt: skip
-        record_bar, seen = np.zeros(record.shape), state()
+    ) -> tuple[SightBar, np.ndarray, State | None]:  # fmt: skip
+        record_bar, seen = np.zeros(sight.rows.shape), state()
         if control == STEEP and self.kind == "record":
             record_bar[0] = 20.0
         whole = State(np.ones(seen.x.shape), *(np.zeros_like(a) for a in (seen.v, seen.C, seen.F, memory)))
-        return record_bar, memory_bar, whole if control == STEEP and self.kind == "state" else None
+        return SightBar(record_bar), memory_bar, whole if control == STEEP and self.kind == "state" else None
 
     def parameters_zero(self) -> None:
         return None

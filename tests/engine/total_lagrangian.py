@@ -21,6 +21,7 @@ from split_nodes import layers
 from touching import Meeting, Touching
 
 from cqrun.engine.model import Inputs, Model, Records
+from cqrun.engine.policy import Policy
 from cqrun.engine.setting import node_positions
 from cqrun.engine.statics.holding import Planes
 
@@ -203,8 +204,13 @@ def turning(a: Array, f: Array) -> Array:
     return a[:, 0] * f[:, 1] - a[:, 1] * f[:, 0] if a.shape[1] == 2 else np.cross(a, f)
 
 
-def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *contact: None) -> tuple[Records, Moving]:
-    """Return the probe's records and the last state; `watch` gets what touches obstacles, and what meets."""
+def rollout(
+    model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *contact: None, policy: Policy | None = None
+) -> tuple[Records, Moving]:
+    """Return the probe's records and the last state; `watch` gets what touches obstacles, and what meets.
+
+    A policy, if there is one, writes the activations of the inputs as it decides them, and what it last remembers.
+    """
     X, fields, dt, A = inputs.state.x, inputs.fields, model.dt, 4 / model.dx**2
     stencils = list(stencil(model, X))
     n_nodes = count_nodes(model, stencils)
@@ -224,11 +230,17 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
     acting = Acting(model, present)
     runs, mu = ghost_runs(model, stencils, fields.volume), mean_shear_modulus(model, inputs)
     W, rows = model.probe.toarray(), []
-    s = motion(model, X, stencils, u, v, inputs.state.history)
+    s, memory = motion(model, X, stencils, u, v, inputs.state.history), inputs.state.memory
     for step in range(model.n_steps):
         if step % model.substeps == 0:
             rows.append(reference.seen(W, s))
             see_bodies(touching)
+            if policy is not None:
+                k = step // model.substeps
+                poses = {name: seen[-1] for name, seen in touching.rows.items()}
+                held_ = {name: seen[-1] for name, seen in acting.rows.items()}
+                seen = reference.sight(model, inputs, rows[-1], k, rigid=poses, held=held_)
+                inputs.activation[k], memory = policy.act(k, seen, memory, lambda: None)
         pushed, _ = reference.active_force(model, inputs, s, step)
         tau = reference.kirchhoff(model, inputs, s, step)
         if model.averaged:
@@ -252,6 +264,7 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
         s = motion(model, X, stencils, u, v, reference.relaxed(inputs, s.history, s.F, dt))
     rows.append(reference.seen(W, s))
     see_bodies(touching)
+    inputs.state.memory = memory
     poses = touching.poses() if isinstance(touching, Gripping) else {}
     return replace(reference.recorded(rows), held=acting.by_name(), rigid=poses), s
 

@@ -9,6 +9,7 @@ import numpy as np
 from cqrun.boundaries.condition import project_all_vjp
 from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.model import Inputs, LossBar
+from cqrun.engine.policy import SightBar
 from cqrun.engine.probe import record_vjp
 from cqrun.engine.reference.contacts import add_friction_bars, add_rigid_bars, rest_bars, rigid_of, with_own_bars
 from cqrun.engine.reference.corners import add_means_bar, with_bars
@@ -18,8 +19,8 @@ from cqrun.engine.reference.history import with_bars as with_histories_bars
 from cqrun.engine.reference.moves import poses_vjp
 from cqrun.engine.reference.placing import note_all_poses_vjp
 from cqrun.engine.reference.poses import glue_vjp
-from cqrun.engine.reference.reactions import columns, zero_bars_of
-from cqrun.engine.reference.rigid import put_record_bars
+from cqrun.engine.reference.reactions import add_bars_at, columns, zero_bars_of
+from cqrun.engine.reference.rigid import add_record_bars
 from cqrun.engine.reference.setting import NodeBars
 from cqrun.engine.reference.shape import make_shape_bars, motion_bar
 from cqrun.engine.reference.step import reverse, see_vjp
@@ -74,7 +75,15 @@ class ReferenceBackward(BackwardRun):
             for name, bar in held_bar.items():
                 bars.mean[:, model.reactions.index(name), columns(model.dim)] = bar[1:]
         for rigid in rigid_of(self.contacts) if loss_bar.records is not None else ():
-            put_record_bars(rigid, model, loss_bar.records.rigid)
+            add_record_bars(rigid, model, loss_bar.records.rigid)
+
+    def _add_sight(self, control: int, bar: SightBar) -> None:
+        super()._add_sight(control, bar)
+        model = self.rollout.model
+        if bar.held is not None:
+            add_bars_at(self.reactions, model, control, bar.held)
+        for rigid in rigid_of(self.contacts) if bar.rigid is not None else ():
+            add_record_bars(rigid, model, bar.rigid, control)
 
     def _from(self, states: Array, k: int) -> Array:
         """Return the kept states from the k-th on; a run that reverses has one state."""

@@ -138,6 +138,21 @@ def reactions_by_name(reactions: tuple[Reactions, ...], model: Model) -> dict[st
     return out
 
 
+def reactions_at(reactions: tuple[Reactions, ...], model: Model, control: int) -> dict[str, Array]:
+    """Return the same (D + 1,) or (6,) of the control step that ended at `control`; zero at the start."""
+    means = np.zeros((len(model.reactions), REACTION))
+    for each in reactions if control > 0 else ():
+        means = each.mean[control - 1]
+    return {name: means[k, columns(model.dim)] for k, name in enumerate(model.reactions)}
+
+
+def add_bars_at(pairs: tuple[tuple[Reactions, ReactionBars], ...], model: Model, control: int, bars: Any) -> None:
+    """Add the cotangents of `reactions_at`, by name, before the adjoint of that control step runs."""
+    for _, back in pairs if control > 0 else ():
+        for name, bar in bars.items():
+            back.mean[control - 1, model.reactions.index(name), columns(model.dim)] += bar
+
+
 def columns(dim: int) -> list[int]:
     """Return which of the `REACTION` numbers of a reaction a world of this dimension has."""
     return [0, 1, 5] if dim == 2 else list(range(REACTION))

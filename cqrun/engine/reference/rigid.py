@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -198,10 +199,10 @@ def rows_of_bodies(rigid: tuple[Rigid, ...]) -> int:
 # --- what is recorded ------------------------------------------------------------------------------------------------
 
 
-def poses_by_name(rigid: tuple[Rigid, ...], model: Model) -> dict[str, Array]:
-    """Return what users see of every rigid body (T + 1, 6 or 12), by name; see `pose_columns`."""
+def poses_by_name(rigid: tuple[Rigid, ...], model: Model, at: Any = slice(None)) -> dict[str, Array]:
+    """Return what users see of every rigid body (T + 1, 6 or 12), by name, or at one time; see `pose_columns`."""
     return {
-        body.name: seen_poses(each.record[:, b], each.center[b], model.dim)
+        body.name: seen_poses(each.record[at, b], each.center[b], model.dim)
         for each in rigid
         for b, body in enumerate(model.rigid)
     }
@@ -226,11 +227,11 @@ def seen_poses_vjp(record: Array, dim: int, bar: Array) -> Array:
     return out
 
 
-def put_record_bars(rigid: Rigid, model: Model, bars: dict[str, Array]) -> None:
-    """Write the cotangents of records (T + 1, 6 or 12), by name, to those of the recorded poses."""
+def add_record_bars(rigid: Rigid, model: Model, bars: Mapping[str, Array], at: Any = slice(None)) -> None:
+    """Add the cotangents of records (T + 1, 6 or 12), or of those at one time, by name, to those of the poses."""
     for b, body in enumerate(model.rigid):
         if body.name in bars:
-            rigid.bars.record[:, b] = seen_poses_vjp(rigid.record[:, b], model.dim, bars[body.name])
+            rigid.bars.record[at, b] += seen_poses_vjp(rigid.record[at, b], model.dim, bars[body.name])
 
 
 def meeting_error(rigid: Rigid, model: Model) -> RigidBodyError:

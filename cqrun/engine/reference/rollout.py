@@ -26,7 +26,13 @@ from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, p
 from cqrun.engine.reference.placing import note_all_poses
 from cqrun.engine.reference.points import riding_points
 from cqrun.engine.reference.poses import glue
-from cqrun.engine.reference.reactions import Reactions, make_reactions, reactions_by_name, rows_of_impulses
+from cqrun.engine.reference.reactions import (
+    Reactions,
+    make_reactions,
+    reactions_at,
+    reactions_by_name,
+    rows_of_impulses,
+)
 from cqrun.engine.reference.remarks import most_stretched, remarks_on, why_it_failed
 from cqrun.engine.reference.rest import rest_geometry
 from cqrun.engine.reference.rigid import meeting_error, poses_by_name, put_start
@@ -279,11 +285,11 @@ class ReferenceRollout(Rollout):
 
     def held_at(self, control: int) -> dict[str, Array]:
         """Return force and moment of every recorded boundary in the control step that ended at `control`, by name."""
-        return {name: rows[control] for name, rows in reactions_by_name(self.reactions, self.model).items()}
+        return reactions_at(self.reactions, self.model, control)
 
     def rigid_at(self, control: int) -> dict[str, Array]:
         """Return what is seen of every rigid body at a control step, by name; see `Records.rigid`."""
-        return {name: rows[control] for name, rows in poses_by_name(rigid_of(self.contacts), self.model).items()}
+        return poses_by_name(rigid_of(self.contacts), self.model, control)
 
     def _record_start(self) -> None:
         crew = Crew(0, 1)
