@@ -148,6 +148,12 @@ def made_measures(dim: int) -> dict[str, Any]:
         "cable": plugins("measure")["cable_tension"](cable="weight"),
         "held": plugins("measure")["reaction"](boundary="clamp"),
         "energy": plugins("measure")["kinetic_energy"](body="ball"),
+        "slips": plugins("measure")["rigid_motion"](rigid="stone", relative_to="jaw"),
+        "spins": plugins("measure")["rigid_motion"](rigid="stone", of="spin"),
+        "twists": plugins("measure")["reaction"](boundary="floor", of="moment", on="boundary"),
+        "pulls": plugins("measure")["cable_tension"](cable="cable"),
+        "rubs": plugins("measure")["cable_tension"](cable="tendon", at=1.0),
+        "blows": plugins("measure")["chamber_pressure"](chamber="gas"),
     }
 
 

@@ -38,6 +38,8 @@ def matter_of(built: Built, starts: Mapping[str, Array]) -> Matter:
         neutral=built.assembly.actuation.neutral,
         spacing=particles.spacing,
         n_parts=len(built.assembly.actuation.every),
+        strength=inputs.strength,
+        rest_length=inputs.rest,
         parts=_parts(built),
         routes=_routes(built),
         walls=_walls(built),

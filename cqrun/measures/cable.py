@@ -164,14 +164,15 @@ class RouteLength(BoundMeasure):
 class RouteTension(BoundMeasure):
     """The law of the cable or spring (`pull` of its plug-in) for the length of its route, and what friction leaves."""
 
-    meaning, instant = "tension", False
+    meaning = "tension"
 
     def __init__(self, route: Route, matter: Matter, at: float = 0.0) -> None:
         self.length, self.route = RouteLength(route, matter), route
         self.shape, self.rows = self.length.shape, self.length.rows
         self.segment = segment_at(route, at) if at > 0.0 and getattr(route.law, "friction", None) is not None else 0
         self.unit = "N" if matter.dim == 3 else "N/m"
-        self.low, self.high = np.zeros(1), np.ones(1)
+        largest = usual_tension(route, matter)
+        self.low, self.high = np.array([0.0 if route.activated else -largest]), np.array([largest])
 
     def values(self, track: Track) -> Array:
         return np.asarray(self.route.law.pull(*self._levels(track)) * self._left(track))[:, None]
@@ -214,6 +215,19 @@ class RouteTension(BoundMeasure):
         activation = during(track)[:, k] if self.route.activated else np.ones(len(length))
         level = self.route.begin + self.route.turn * activation
         return length, level, track.strength[k], track.rest_length[k]
+
+
+def usual_tension(route: Route, matter: Matter) -> float:
+    """Return the tension of a cable of its length at rest that is pulled in wholly, or of a spring of twice its length.
+
+    1 N if there is none.
+    """
+    if not len(matter.strength) or not len(matter.rest_length):
+        return 1.0
+    strength, rest = matter.strength[route.number], matter.rest_length[route.number]
+    lengths, activations = np.array([rest, rest] if route.activated else [2.0 * rest] * 2), np.array([0.0, 1.0])
+    found = float(np.max(route.law.pull(lengths, activations, strength, rest)))
+    return found if found > 0.0 else 1.0
 
 
 def segment_at(route: Route, at: float) -> int:

@@ -75,12 +75,12 @@ class WallVolume(BoundMeasure):
 class WallPressure(BoundMeasure):
     """The law of the chamber (`gauge` of its plug-in) for its volume."""
 
-    meaning, unit, instant = "pressure above that around the body", "Pa", False
+    meaning, unit = "pressure above that around the body", "Pa"
 
     def __init__(self, wall: Wall, matter: Matter) -> None:
         self.volume, self.wall = WallVolume(wall, matter), wall
         self.rows = self.volume.rows
-        self.low, self.high = np.zeros(1), np.array([1.0e5])
+        self.low, self.high = np.zeros(1), np.array([usual_pressure(wall, matter)])
 
     def values(self, track: Track) -> Array:
         return np.asarray(self.wall.law.gauge(*self._levels(track)))[:, None]
@@ -100,3 +100,12 @@ class WallPressure(BoundMeasure):
         """Return volume (T+1,), activation (T+1,), strength and rest volume."""
         k = self.wall.number
         return self.volume.values(track)[:, 0], during(track)[:, k], track.strength[k], track.rest_length[k]
+
+
+def usual_pressure(wall: Wall, matter: Matter) -> float:
+    """Return the pressure [Pa] at an activation of 1 in a chamber that keeps its volume; 1 bar if there is none."""
+    if not len(matter.strength) or not len(matter.rest_length):
+        return 1.0e5
+    strength, rest = matter.strength[wall.number], matter.rest_length[wall.number]
+    found = float(wall.law.gauge(rest, 1.0, strength, rest))
+    return found if found > 0.0 else 1.0e5

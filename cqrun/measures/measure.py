@@ -30,7 +30,8 @@ class BoundMeasure(ABC):
         components: the name of each of its n numbers, such as x and y; a single empty name for a single number.
         unit: SI unit of its numbers; 1 for none.
         meaning: what it is, in a few words, for files and plots.
-        instant: whether it depends on the motion at one moment alone, so that an observer can see it.
+        instant: whether an observer can see it: it depends on the motion at one moment, the motion of rigid bodies, the
+            reactions and the activations up to there, and on strengths, lengths at rest and friction of actuators.
         cumulative: whether its numbers are sums over the control steps so far; those of a record of two moments are
             zero and what the step between them adds.
         low, high: (n,) the usual range of its numbers, which observers scale to [-1, 1].

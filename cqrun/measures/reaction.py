@@ -16,6 +16,9 @@ from cqrun.plugin.reference import BoundaryName
 from cqrun.plugin.registry import plugin
 from cqrun.units import force_units
 
+STANDARD_GRAVITY = 9.80665
+"""[m/s^2]"""
+
 
 @plugin("measure", "reaction")
 class Reaction(Measure):
@@ -43,8 +46,6 @@ class Reaction(Measure):
 class BoundaryReaction(BoundMeasure):
     """Columns of what a boundary does."""
 
-    instant = False
-
     def __init__(self, spec: Reaction, matter: Matter) -> None:
         self.rows, dim, is_force = means([], matter.n_particles), matter.dim, spec.of == "force"
         self.boundary, self.sign = spec.boundary, 1.0 if spec.on == "body" else -1.0
@@ -52,7 +53,10 @@ class BoundaryReaction(BoundMeasure):
         self.components = tuple(AXES[:dim]) if is_force or dim == 3 else ("",)
         self.unit = force_units(dim)[0 if is_force else 1]
         self.meaning = f"{spec.of} on the {'bodies' if spec.on == 'body' else 'boundary'}"
-        self.low, self.high = np.full(len(self.components), -1.0), np.ones(len(self.components))
+        # the weight of all bodies, and its moment with the size of the world as arm: scales that every scene has
+        usual = STANDARD_GRAVITY * float(matter.mass.sum()) * (1.0 if is_force else float(np.linalg.norm(matter.size)))
+        self.high = np.full(len(self.components), usual)
+        self.low = -self.high
 
     def values(self, track: Track) -> Array:
         out = self.sign * track.held[self.boundary][:, self.columns]

@@ -59,8 +59,6 @@ class RigidMotion(Measure):
 class BoundRigidMotion(BoundMeasure):
     """Columns of what is seen of a rigid body."""
 
-    instant = False
-
     def __init__(self, spec: RigidMotion, matter: Matter) -> None:
         dim, self.rigid, self.other = matter.dim, spec.rigid, spec.relative_to
         self.rows, self.unit, self.meaning = means([], matter.n_particles), UNITS[spec.of], f"{spec.of} of {spec.rigid}"
@@ -71,7 +69,9 @@ class BoundRigidMotion(BoundMeasure):
         first = sum(size for name, size in list(sizes.items())[: list(sizes).index(spec.of)])
         self.columns = slice(first, first + sizes[spec.of])
         self.components = tuple(AXES[: sizes[spec.of]]) if sizes[spec.of] > 1 else ("",)
-        self.low, self.high = np.full(len(self.components), -1.0), np.ones(len(self.components))
+        by_kind = {"displacement": matter.size, "rotation": np.pi, "velocity": matter.size, "spin": 2.0 * np.pi}
+        self.high = np.broadcast_to(np.asarray(by_kind[spec.of], float), (len(self.components),)).copy()
+        self.low = -self.high
 
     def values(self, track: Track) -> Array:
         values = track.rigid[self.rigid][:, self.columns]

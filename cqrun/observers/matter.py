@@ -151,6 +151,7 @@ class Matter:
         recorded: (file name in the scene, its units or None, marker) -> times (T,) at which the marker was seen [s],
             and its positions then (T, D) [m]; UsageError if there is no such file or marker.
         n_parts: number of parts of actuators and forces.
+        strength, rest_length: of every part, as in `Track`, at the initial values of the unknowns; empty if not known.
         parts: of all actuators, in order.
         routes: name -> cable or spring; those on a spool after the first are called NAME.1, NAME.2 and so on.
         walls: name -> wall of a chamber.
@@ -178,6 +179,8 @@ class Matter:
     neutral: Array = field(default_factory=lambda: np.zeros(0))
     spacing: Mapping[str, float] = field(default_factory=dict)
     n_parts: int = 0
+    strength: Array = field(default_factory=lambda: np.zeros(0))
+    rest_length: Array = field(default_factory=lambda: np.zeros(0))
     parts: Sequence[ActuatorPart] = ()
     routes: Mapping[str, Route] = field(default_factory=dict)
     walls: Mapping[str, Wall] = field(default_factory=dict)

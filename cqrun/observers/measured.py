@@ -16,13 +16,20 @@ from cqrun.plugin.contract import Array
 from cqrun.plugin.reference import MeasureName
 from cqrun.plugin.registry import plugin
 
+OF_NOW = ("x", "v", "C", "F", "activation")
+"""The parts of a track that have a row for each moment."""
+
+OF_PARTS = ("strength", "rest_length", "friction")
+"""Those that have a number for each part of actuators and forces."""
+
 
 @plugin("observer", "measured")
 class Measured(Observer):
-    """A quantity of the section `measure`, such as a bend angle: all its components.
+    """A quantity of the section `measure`, such as a bend angle or the force on a rigid body: all its components.
 
-    The quantity must depend on the motion at one moment alone. A tension, a work and a reaction do not: they depend on
-    the activation, or on what is known only after a control step. Stresses and energies are not seen either.
+    It is that at the moment of the control step. A reaction is the mean over the control step before, zero at the
+    start; a tension or a pressure is that with the activation before, at the start the one that does nothing. Work,
+    energies and stresses are not seen.
     """
 
     quantity: MeasureName = Field(description="Name of the measured quantity")
@@ -36,15 +43,15 @@ class Measured(Observer):
         measure = matter.measured(self.quantity)
         if not measure.instant:
             raise UsageError(
-                f"a controller cannot see '{self.quantity}' ({measure.meaning}): it does not depend on the motion at "
-                "one moment alone; positions, displacements, velocities, rotations, distances, bend angles, strains, "
-                "stretches and lengths of cables do"
+                f"a controller cannot see '{self.quantity}' ({measure.meaning}): it sees no work, energy or stress; it "
+                "sees positions, displacements, velocities, rotations, distances, bend angles, strains, stretches, "
+                "motions of rigid bodies, reactions, cables and chambers"
             )
         return SeenMeasure(self, measure, matter)
 
 
 class SeenMeasure(BoundObserver):
-    """The quantity of a track with a single moment."""
+    """The quantity of a track with a single moment; reactions, which row 0 of a track does not have, are in row 1."""
 
     def __init__(self, spec: Measured, measure: Any, matter: Matter) -> None:
         self.measure, self.rows, self.size = measure, measure.rows, len(measure.components)
@@ -52,12 +59,27 @@ class SeenMeasure(BoundObserver):
         self.control_step = matter.control_step
 
     def observe(self, moment: Moment) -> tuple[Array, Array]:
-        return self.measure.values(self._track(moment))[0], np.zeros(0)
+        return self.measure.values(self._track(moment))[-1], np.zeros(0)
 
     def observe_vjp(self, moment: Moment, z_bar: Array, memory_next_bar: Array) -> MomentBar:
-        bar = self.measure.values_vjp(self._track(moment), z_bar[None])
-        return MomentBar(**{name: part[0] for name in "xvCF" if (part := getattr(bar, name)) is not None})
+        track = self._track(moment)
+        values_bar = np.zeros(self.measure.values(track).shape)
+        values_bar[-1] = z_bar
+        bar = self.measure.values_vjp(track, values_bar)
+        now = {name: part[-1] for name in OF_NOW if (part := getattr(bar, name)) is not None}
+        rigid, held = (_last(bars) for bars in (bar.rigid, bar.held))
+        return MomentBar(**now, rigid=rigid, held=held, **{name: getattr(bar, name) for name in OF_PARTS})
 
     def _track(self, moment: Moment) -> Track:
         x, v, C, F = moment.x[None], moment.v[None], moment.C[None], moment.F[None]
-        return Track(x, v, C, F, np.zeros((0, 0)), moment.goals, self.control_step)
+        return Track(
+            x, v, C, F, moment.activation[None], moment.goals, self.control_step,
+            held={name: np.stack([0.0 * row, row]) for name, row in moment.held.items()}, strength=moment.strength,
+            rest_length=moment.rest_length, friction=moment.friction,
+            rigid={name: row[None] for name, row in moment.rigid.items()},
+        )  # fmt: skip
+
+
+def _last(bars: dict[str, Array] | None) -> dict[str, Array] | None:
+    """Return the last row of each of several cotangents."""
+    return None if bars is None else {name: rows[-1] for name, rows in bars.items()}

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from made_encoders import made_encoder
-from made_matter import CONTROL_STEP, box_around_left, made_matter, mismatch, moved, slope
+from made_matter import CONTROL_STEP, N_ACTUATORS, box_around_left, made_matter, mismatch, moved, slope
 
-from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observation
+from cqrun.observers.observer import BY_NAME, BoundObserver, Moment, MomentBar, Observation
 from cqrun.observers.pca import Pca, fit_components
 from cqrun.observers.vae import Vae
 from cqrun.plugin.registry import plugins
@@ -36,7 +36,10 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "clock": [{}, {"period": 0.3, "harmonics": 2}],
         "goal": [{"goal": "target", "body": "arm"}, {"goal": "target", "body": "arm", "group": "tip"},
                  {"goal": "target"}],
-        "measured": [{"quantity": "tip"}, {"quantity": "gap", "range": [0.0, 0.5]}],
+        "measured": [
+            {"quantity": "tip"}, {"quantity": "gap", "range": [0.0, 0.5]},
+            *({"quantity": name} for name in ("slips", "spins", "held", "twists", "cable", "pulls", "blows")),
+        ],
         "pca": [{"body": "arm", "components": 2}],
         "vae": [{"body": "arm", "file": "made by `make`"}],
     }  # fmt: skip
@@ -65,6 +68,10 @@ def a_moment(bound: BoundObserver, dim: int, rng: np.random.Generator, control: 
     return Moment(
         draw(dim), draw(dim), draw(dim, dim), np.eye(dim) + 0.3 * draw(dim, dim), CONTROL_STEP * control, control,
         {"target": rng.normal(size=dim)}, rng.normal(size=bound.n_memory), lambda: state,
+        {name: rng.normal(size=6 if dim == 2 else 12) for name in ("stone", "jaw")},
+        {name: rng.normal(size=3 if dim == 2 else 6) for name in ("clamp", "floor")},
+        0.2 + rng.uniform(size=N_ACTUATORS), 2.0 + rng.uniform(size=N_ACTUATORS + 1),
+        0.5 + 0.2 * rng.uniform(size=N_ACTUATORS + 1), rng.uniform(size=N_ACTUATORS + 1),
     )  # fmt: skip
 
 
@@ -72,14 +79,18 @@ def adjoint_error(bound: BoundObserver, moment: Moment, rng: np.random.Generator
     """Return the relative error of bar . (J d) = (J^T bar) . d."""
     z, memory = bound.observe(moment)
     z_bar, memory_bar = rng.normal(size=z.shape), rng.normal(size=memory.shape)
-    names = ("x", "v", "C", "F", "memory")
-    directions = {name: rng.normal(size=getattr(moment, name).shape) for name in names}
+    names = ("x", "v", "C", "F", "memory", "activation", "strength", "rest_length", "friction")
+    directions: dict[str, Any] = {name: rng.normal(size=getattr(moment, name).shape) for name in names}
+    for kind in BY_NAME:
+        directions[kind] = {name: rng.normal(size=row.shape) for name, row in getattr(moment, kind).items()}
     state, pushes = moment.state(), {name: rng.normal(size=getattr(moment.state(), name).shape) for name in "xvCF"}
-    tilted = replace(moment, **{name: moved(getattr(moment, name), directions[name]) for name in names})
+    tilted = replace(moment, **{name: moved(getattr(moment, name), directions[name]) for name in directions})
     tilted.state = lambda: State(*(moved(getattr(state, name), push) for name, push in pushes.items()))
     expected = slope(lambda: np.concatenate(bound.observe(tilted)), np.concatenate([z_bar, memory_bar]))
     bar = bound.observe_vjp(moment, z_bar, memory_bar)
     parts = [bar_of(bar, name, directions[name].shape) * directions[name] for name in names]
+    for kind in BY_NAME:
+        parts += [part * directions[kind][name] for name, part in (getattr(bar, kind) or {}).items()]
     if bar.state is not None:
         parts += [bar_of(bar.state, name, push.shape) * push for name, push in pushes.items()]
     return mismatch(sum(float(p.sum()) for p in parts), expected, sum(float(np.abs(p).sum()) for p in parts))
@@ -136,8 +147,8 @@ def test_all_observers_together(dim, control, rng):
     for name, single in bound.items():
         rows, memory = slice(row, row + single.rows.shape[0]), slice(n_memory, n_memory + single.n_memory)
         row, n_memory = rows.stop, memory.stop
-        share = Moment(moment.x[rows], moment.v[rows], moment.C[rows], moment.F[rows], moment.time, control,
-                       moment.goals, moment.memory[memory], moment.state)  # fmt: skip
+        share = replace(moment, x=moment.x[rows], v=moment.v[rows], C=moment.C[rows], F=moment.F[rows],
+                        memory=moment.memory[memory])  # fmt: skip
         alone, _ = single.observe(share)
         scaled = 2 * (alone - single.low) / (single.high - single.low) - 1
         np.testing.assert_allclose(z[observation.parts[name]], scaled, rtol=1e-12, atol=1e-12)
@@ -183,3 +194,15 @@ def test_no_observer_at_all(rng):
     moment = a_moment(observation, 2, rng)
     assert [a.shape for a in observation.observe(moment)] == [(0,), (0,)]
     assert observation.observe_vjp(moment, np.zeros(0), np.zeros(0)) == MomentBar()
+
+
+def test_a_cable_that_rubs_is_seen_with_its_friction(rng):
+    """By a difference, because the angles of a route are not exact for complex numbers."""
+    bound = plugins("observer")["measured"](quantity="rubs").bind(made_matter(2))
+    moment, h = a_moment(bound, 2, rng), 1e-6
+    bar = bound.observe_vjp(moment, np.ones(1), np.zeros(0))
+    for name in ("strength", "friction", "activation"):
+        value = getattr(moment, name)
+        ends = [bound.observe(replace(moment, **{name: value + sign * h}))[0].sum() for sign in (-1, 1)]
+        assert getattr(bar, name).sum() == pytest.approx((ends[1] - ends[0]) / (2 * h), rel=1e-7)
+        assert abs(getattr(bar, name).sum()) > 1e-3

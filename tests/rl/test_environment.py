@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from small_disc import DISC, FORCES, MOTION, TENSION
 from small_finger import DESIGN, STIFFNESS
 
 import cqrun
@@ -58,6 +59,19 @@ def test_it_moves_as_the_policy_does(env):
     found = agent.judged(whole, whole.run(), env.goals)
     np.testing.assert_array_equal(env.rollout.records, whole.records)
     assert env.loss == found.loss
+
+
+def test_rigid_bodies_and_forces_are_seen_as_the_policy_sees_them():
+    """At every step, with the forces of the step before, and activations that the caller chose."""
+    env = cqrun.environment({**DISC, "unknowns": {}, "observers": MOTION | FORCES | TENSION}, threads=1)
+    agent, (seen, _) = env.agent, env.reset(seed=1)
+    values, found = {p.removeprefix("controller."): v for p, v in agent.acting.items()}, [seen]
+    while env.control < agent.model.n_controls:
+        found.append(env.step(agent.controller.act(values, env.observation, env.control, 0.0))[0])
+    whole = agent.rollout(agent.acting, env.goals, 1)
+    judged = agent.judged(whole, whole.run(), env.goals)
+    np.testing.assert_array_equal(found[:-1], judged.observations)
+    assert env.loss == judged.loss
 
 
 def test_an_action_that_is_not_finite_is_refused(env):

@@ -297,7 +297,7 @@ def test_validate_lists_the_quantities(tmp_path):
         ("objective", {"a": {"measured": {"quantity": "tip", "component": "z"}}}, "there is no component 'z'"),
         ("objective", {"a": {"measured": {"quantity": "bend", "component": "x"}}}, "leave `component` out"),
         ("objective", {"a": {"measured": {"quantity": "tip", "target": 1.0}}}, "give 2 .x, y., or a `component`"),
-        ("observers", {"a": {"measured": {"quantity": "held"}}}, "a controller cannot see 'held'"),
+        ("observers", {"a": {"measured": {"quantity": "stored"}}}, "a controller cannot see 'stored'"),
     ],
 )
 def test_what_does_not_fit_is_reported_at_its_place(tmp_path, section, value, message):
