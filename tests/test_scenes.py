@@ -334,7 +334,7 @@ def test_walkers_stand_on_the_floor_in_gradient_checks(name):
     assert x[:, 1].min() - ground < 1.5 * dx
 
 
-OWN_KERNELS = {"gripper_tendon"}
+OWN_KERNELS = {"gripper_tendon", "gripper_pneumatic"}
 """Scenes whose gradient needs kernels that no other test compiles, for minutes; tests/engine has that of each part."""
 
 gradient_scenes = pytest.mark.parametrize(

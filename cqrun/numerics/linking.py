@@ -16,12 +16,15 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import binding
-from numba.core import codegen
+from numba.core import codegen, event
 from numba.core.environment import lookup_environment
 from numba.core.registry import CPUDispatcher
 
 ENTRY = "cpython."
 """How the name of a function begins that Python calls: Numba's wrapper around an entry."""
+
+OPTIMISING = "cqrun:optimising"
+"""The event of an entry that LLVM works on: its functions are there, and are optimised together."""
 
 ENVIRONMENT = "_ZN08NumbaEnv"
 """How the name of the pointer to a function's Python objects begins."""
@@ -45,7 +48,8 @@ class Library(codegen.JITCodeLibrary):
         names = [function.name for function in self._final_module.functions if not function.is_declaration]
         if any(name.startswith(ENTRY) for name in names):
             self._linking_libraries = self._closure()
-            super().finalize()
+            with event.trigger_event(OPTIMISING):
+                super().finalize()
             for name in environments(self._final_module):
                 self._codegen.set_env(name, lookup_environment(name))
             return

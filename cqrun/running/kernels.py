@@ -23,13 +23,14 @@ from cqrun.engine.rigid_model import count_free
 from cqrun.errors import RolloutError
 from cqrun.fingerprint import set_kernel_cache
 from cqrun.numerics.compile import CACHE_PROBLEMS
+from cqrun.numerics.linking import OPTIMISING
 from cqrun.running.reporter import Reporter
 
-LASTS = {False: "up to half a minute", True: "one to two minutes"}
+LASTS = {False: "up to half a minute", True: "up to a minute"}
 """How long compiling takes on one core, with and without the adjoint."""
 
-FUNCTIONS = {False: 140, True: 220}
-"""About how many functions are compiled for a scene, with and without the adjoint; scenes differ by a few dozen."""
+FUNCTIONS = {False: 200, True: 270}
+"""About how many functions are compiled for a scene, with and without the adjoint; with rigid bodies it is more."""
 
 
 def composition(built: Built, *, adjoint: bool) -> str:
@@ -114,11 +115,14 @@ def _told(reporter: Reporter, adjoint: bool) -> Iterator[None]:
     from numba.core import event
 
     listener = _listener(event.Listener, reporter, FUNCTIONS[adjoint])
-    event.register("numba:compile", listener)
+    kinds = ("numba:compile", OPTIMISING)
+    for kind in kinds:
+        event.register(kind, listener)
     try:
         yield
     finally:
-        event.unregister("numba:compile", listener)
+        for kind in kinds:
+            event.unregister(kind, listener)
 
 
 def _listener(base: type, reporter: Reporter, total: int) -> Any:
@@ -129,15 +133,23 @@ def _listener(base: type, reporter: Reporter, total: int) -> Any:
         kernel = ""
 
         def on_start(self, told: Any) -> None:
+            if told.kind == OPTIMISING:
+                reporter.advance(self.done, self.whole, f"{self.kernel}: optimising all of it")
+                return
             if self.depth == 0:
                 self.kernel = told.data["dispatcher"].py_func.__name__.strip("_")
             self.depth += 1
 
         def on_end(self, told: Any) -> None:
+            if told.kind == OPTIMISING:
+                return
             self.depth -= 1
             self.done += 1
-            whole = max(total, self.done + self.depth)
-            reporter.advance(self.done, whole, f"{self.kernel}: function {self.done} of about {whole}")
+            reporter.advance(self.done, self.whole, f"{self.kernel}: function {self.done} of about {self.whole}")
+
+        @property
+        def whole(self) -> int:
+            return max(total, self.done + self.depth)
 
     return Listener()
 

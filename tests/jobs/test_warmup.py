@@ -26,7 +26,7 @@ def test_a_scenes_kernels(beam, cache):
     listener = Listener()
     (line,) = warmup([beam], reporter=listener)
     assert line.endswith(f" s  {WORDS}")
-    lasts = "one to two minutes"
+    lasts = "up to a minute"
     assert listener.said == [f"compiling kernels, {lasts} (once for scenes of this kind: {WORDS})"]
     if not config.DISABLE_JIT:
         assert mark_of(WORDS).read_text() == WORDS + "\n"
