@@ -5,7 +5,7 @@ and to machine code. The caller then gets the optimised function, inlines it, an
 function that lies five calls deep is optimised six times, and five of its six machine codes are never run. Here a
 function has two forms:
 
-    entry     Python calls it: it has a wrapper, and becomes machine code.
+    entry     Python calls it: it has a wrapper, whose address Numba asks for, and so becomes machine code.
     helper    other functions call it: its LLVM code is linked into the entry, with that of all helpers that it calls.
 
 An entry is optimised once, with everything that it calls.
@@ -19,9 +19,6 @@ from llvmlite import binding
 from numba.core import codegen, event
 from numba.core.environment import lookup_environment
 from numba.core.registry import CPUDispatcher
-
-ENTRY = "cpython."
-"""How the name of a function begins that Python calls: Numba's wrapper around an entry."""
 
 OPTIMISING = "cqrun:optimising"
 """The event of an entry that LLVM works on: its functions are there, and are optimised together."""
@@ -44,20 +41,32 @@ class Library(codegen.JITCodeLibrary):
     is_helper = False
 
     def finalize(self) -> None:
-        """Make machine code of an entry; keep a helper as it is, until an entry needs it."""
-        names = [function.name for function in self._final_module.functions if not function.is_declaration]
-        if any(name.startswith(ENTRY) for name in names):
-            self._linking_libraries = self._closure()
-            with event.trigger_event(OPTIMISING):
-                super().finalize()
-            for name in environments(self._final_module):
-                self._codegen.set_env(name, lookup_environment(name))
-            return
+        """Keep the functions as they are: they become machine code if the address of one is asked for."""
         self._raise_if_finalized()
-        if any(is_of_one_body(name) for name in names):
+        if any(is_of_one_body(function.name) for function in self.get_own_functions()):
             self._optimize_alone()
         self._finalize_dynamic_globals()
         self._finalized = self.is_helper = True
+
+    def get_own_functions(self) -> list[Any]:
+        """Return the functions of LLVM that this library defines."""
+        return [function for function in self._final_module.functions if not function.is_declaration]
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return the address of a function, or 0 if there is none: helpers have no wrapper, which Numba asks for."""
+        self._ensure_finalized()
+        if self.is_helper and any(function.name == name for function in self.get_own_functions()):
+            self._make_code()
+        return super().get_pointer_to_function(name)
+
+    def _make_code(self) -> None:
+        """Optimise the functions with all helpers that they call, and make machine code of them."""
+        self.is_helper = self._finalized = False
+        self._linking_libraries = self._closure()
+        with event.trigger_event(OPTIMISING):
+            super().finalize()
+        for name in environments(self._final_module):
+            self._codegen.set_env(name, lookup_environment(name))
 
     def _optimize_alone(self) -> None:
         """Optimise a helper of one body with those that it calls, so that it is the same in all entries."""
@@ -84,19 +93,6 @@ class Library(codegen.JITCodeLibrary):
         for library in self._linking_libraries:
             visit(library)
         return order[::-1]
-
-    def get_pointer_to_function(self, name: str) -> int:
-        """Return the address of a function, or 0 if there is none, as for helpers."""
-        self._ensure_finalized()
-        if self.is_helper and any(f.name == name and not f.is_declaration for f in self._final_module.functions):
-            self._make_code()
-        return super().get_pointer_to_function(name)
-
-    def _make_code(self) -> None:
-        """Make machine code of a helper whose address is needed after all, as that of Numba's own run time."""
-        self.is_helper = self._finalized = False
-        self._linking_libraries = self._closure()
-        super().finalize()
 
     def _optimize_final_module(self) -> None:
         """Optimise an entry with its helpers, which are its own: `internal`."""

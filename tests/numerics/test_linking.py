@@ -86,10 +86,12 @@ def test_a_helper_that_is_missing_stops_the_compilation():
     library = Library(cpu_target.target_context.codegen(), "lacks")
     module = library.create_ir_module("lacks")
     missing = ir.Function(module, ir.FunctionType(ir.VoidType(), []), "_ZN6absent")
-    wrapper = ir.Function(module, ir.FunctionType(ir.VoidType(), []), "cpython.lacks")
-    builder = ir.IRBuilder(wrapper.append_basic_block())
+    lacking = ir.Function(module, ir.FunctionType(ir.VoidType(), []), "lacking")
+    builder = ir.IRBuilder(lacking.append_basic_block())
     builder.call(missing, [])
     builder.ret_void()
     library.add_ir_module(module)
-    with global_compiler_lock, pytest.raises(AssertionError, match="_ZN6absent was not linked"):
-        library.finalize()
+    with global_compiler_lock:
+        assert library.get_pointer_to_function("absent") == 0
+        with pytest.raises(AssertionError, match="_ZN6absent was not linked"):
+            library.get_pointer_to_function("lacking")
