@@ -1,6 +1,7 @@
 """Fit the material of the real beam to its swing, its rest and both, on two grids; predict the loaded beam.
 
     python benchmarks/real_beam.py --recordings DIR [--only swing rest ...] [--source-clamp] [--runs DIR] [--out FILE]
+    python benchmarks/real_beam.py --recordings DIR --check NAME ... [--out FILE]
 
 DIR holds beam_gravity_V2_a.c3d and beam_load101_V2_a.c3d (srl-ethz/diffPD_sim2real, MIT licence). Each fit is a run of
 `cqrun sysid` below `--runs`. A stopped fit continues, and a finished one is read. On two cores, a fit at 5 mm takes
@@ -115,11 +116,28 @@ def predicted_rest(found: Mapping[str, Any], overrides: Sequence[str]) -> dict[s
     return errors
 
 
+def checked(name: str, found: Mapping[str, Any], recordings: Path) -> dict[str, Any]:
+    """Return what this engine says with the values that a fit has found: the RMSE [mm] of each recording."""
+    scene, overrides = FITS[name]
+    more = [*files(scene, recordings), *overrides]
+    for path, unknown in load_scene(scene, more).unknowns.items():
+        value = found["unknowns"][path]["value"]
+        more += [f"{each}={value!r}" for each in (path, *unknown.also)]
+    errors = {}
+    for case in make_cases(build(load_scene(scene, more))):
+        record = case.run({}, cores(None))
+        errors[case.name] = 1e3 * float(np.sqrt(case.comparisons[0].loss(record, case.start)))
+        print(f"{name}: {case.name} {errors[case.name]:.4f} mm", flush=True)
+    return {"engine": engine_hash(), "rmse_mm": errors}
+
+
 def main() -> None:
     """Run the fits, and write the file after each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=Path, required=True)
     parser.add_argument("--only", nargs="+", choices=list(FITS), default=list(FITS))
+    parser.add_argument("--check", nargs="+", choices=list(FITS), default=[],
+                        help="compute only the errors with the values in the file, with this engine")  # fmt: skip
     parser.add_argument("--source-clamp", action="store_true")
     parser.add_argument("--runs", type=Path, default=Path("results") / "real_beam")
     parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "measured" / "real_beam.json")
@@ -127,7 +145,10 @@ def main() -> None:
     more = SOURCE_CLAMP if options.source_clamp else []
     every = json.loads(options.out.read_text()) if options.out.exists() else {}
     result = every.setdefault("source_clamp", {}) if options.source_clamp else every
-    for name in options.only:
+    for name in options.check:
+        result[name]["checked"] = checked(name, result[name], options.recordings)
+        write_json(options.out, every)
+    for name in [] if options.check else options.only:
         result[name] = fit(name, options.recordings, options.runs, more)
         if name == "swing_bare":
             result["rest_predicted_from_swing_bare_mm"] = predicted_rest(
