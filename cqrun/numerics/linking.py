@@ -19,6 +19,7 @@ from llvmlite import binding
 from numba.core import codegen, event
 from numba.core.environment import lookup_environment
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime import rtsys
 
 OPTIMISING = "cqrun:optimising"
 """The event of an entry that LLVM works on: its functions are there, and are optimised together."""
@@ -61,6 +62,9 @@ class Library(codegen.JITCodeLibrary):
 
     def _make_code(self) -> None:
         """Optimise the functions with all helpers that they call, and make machine code of them."""
+        if any(v.name.startswith(codegen.RuntimeLinker.PREFIX) for v in self._final_module.global_variables):
+            # functions that call each other: Numba asks for this address while the code is made, which is too late
+            rtsys.library.get_pointer_to_function("nrt_unresolved_abort")
         self.is_helper = self._finalized = False
         self._linking_libraries = self._closure()
         with event.trigger_event(OPTIMISING):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from little_worlds import needs_jit
 from llvmlite import ir
+from numba import cfunc, njit, vectorize
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 
@@ -80,6 +81,26 @@ def test_an_error_in_a_helper_reaches_python():
     assert calls_it(4.0) == 3.0
     with pytest.raises(ValueError, match="below zero"):
         calls_it(-1.0)
+
+
+def test_functions_may_call_each_other():
+    @njit
+    def even(n):
+        return odd(n - 1) if n > 0 else True
+
+    @njit
+    def odd(n):
+        return even(n - 1) if n > 0 else False
+
+    assert even(10)
+    assert not even(7)
+
+
+def test_numbas_own_ways_to_compile_still_work():
+    squared = vectorize(["f8(f8)"])(lambda x: x * x)
+    np.testing.assert_array_equal(squared(np.arange(3.0)), [0.0, 1.0, 4.0])
+    assert cfunc("f8(f8)")(lambda x: 2.0 * x).ctypes(3.0) == 6.0
+    assert njit(lambda x: np.sort(x)[0] + len(str(3)))(np.array([2.0, 1.0])) == 2.0
 
 
 def test_a_helper_that_is_missing_stops_the_compilation():
