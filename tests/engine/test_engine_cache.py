@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+from little_worlds import needs_jit
 from numba.core import caching
 
 from cqrun.numerics.compile import SharedIndex, kernel
@@ -19,6 +20,7 @@ class Slow(SharedIndex):
         return found
 
 
+@needs_jit
 def test_kernels_use_it():
     def nothing():
         return 0
