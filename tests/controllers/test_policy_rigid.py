@@ -129,8 +129,11 @@ SIZES: dict[str, Any] = {"grip": [-0.1, 0.1], "twist": None, "pushed": [-0.1, 0.
 """Ranges of what would not change the activations otherwise."""
 
 
-@pytest.fixture(scope="module", params=[(2, True, POSES), (2, False, FORCES), (3, False, POSES + FORCES)],
-                ids=["2D-motion", "2D-forces", "3D-both"])  # fmt: skip
+@pytest.fixture(scope="module", params=[
+    pytest.param((2, True, POSES), id="2D-motion"),
+    pytest.param((2, False, FORCES), id="2D-forces"),
+    pytest.param((3, False, POSES + FORCES), id="3D-both", marks=pytest.mark.slow),
+])  # fmt: skip
 def case(request):
     """Return a gripper, its rollout and its gradient."""
     dim, viscous, names = request.param

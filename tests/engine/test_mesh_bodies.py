@@ -72,7 +72,12 @@ def test_the_motion_is_that_of_the_equations(case):
     assert {"sticks", "slides"} <= {what for k, what in branches if k >= 4}, branches
 
 
-@pytest.mark.parametrize("name", ["offset", "velocity", "friction", "mass", "waypoints"])
+def slow(name: str) -> Any:
+    """Return a case that is not of meshes alone; the equations take minutes in NumPy."""
+    return pytest.param(name, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("name", ["offset", "waypoints", slow("velocity"), slow("friction"), slow("mass")])
 def test_dot_product_of_rigid_bodies(case, name, rng):
     model, inputs, records_bar, state_bar, _, bar = case
     change = direction_of(inputs, name, 3, rng)
@@ -83,7 +88,7 @@ def test_dot_product_of_rigid_bodies(case, name, rng):
     assert backward == pytest.approx(forward, rel=DOT_PRODUCT)
 
 
-@pytest.mark.parametrize("kind", ["v", "friction"])
+@pytest.mark.parametrize("kind", ["friction", slow("v")])
 def test_dot_product_of_soft_bodies(case, kind, rng):
     model, inputs, records_bar, state_bar, _, bar = case
     change = direction(inputs, kind, rng)
