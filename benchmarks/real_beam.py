@@ -108,9 +108,13 @@ def predicted_rest(found: Mapping[str, Any], overrides: Sequence[str]) -> dict[s
     """Return the RMSE [mm] of both beams at rest, with the values from the swing of the bare beam alone."""
     young, tilt = (found["unknowns"][path]["value"] for path in (MODULUS, TILTS["bare"]))
     values = [f"{MODULUS}={young!r}", *(f"{path}={tilt!r}" for path in TILTS.values())]
-    built = build(load_scene(REST, [*overrides, *values]))
+    return errors_of(REST, [*overrides, *values])
+
+
+def errors_of(scene: Path, overrides: Sequence[str]) -> dict[str, float]:
+    """Return the RMSE [mm] of each recording with the values that a scene has."""
     errors = {}
-    for case in make_cases(built):
+    for case in make_cases(build(load_scene(scene, overrides))):
         record = case.run({}, cores(None))
         errors[case.name] = 1e3 * float(np.sqrt(case.comparisons[0].loss(record, case.start)))
     return errors
@@ -123,11 +127,8 @@ def checked(name: str, found: Mapping[str, Any], recordings: Path) -> dict[str, 
     for path, unknown in load_scene(scene, more).unknowns.items():
         value = found["unknowns"][path]["value"]
         more += [f"{each}={value!r}" for each in (path, *unknown.also)]
-    errors = {}
-    for case in make_cases(build(load_scene(scene, more))):
-        record = case.run({}, cores(None))
-        errors[case.name] = 1e3 * float(np.sqrt(case.comparisons[0].loss(record, case.start)))
-        print(f"{name}: {case.name} {errors[case.name]:.4f} mm", flush=True)
+    errors = errors_of(scene, more)
+    print(f"{name}: RMSE [mm] {errors}", flush=True)
     return {"engine": engine_hash(), "rmse_mm": errors}
 
 
