@@ -37,16 +37,26 @@ def distance(solid: Solid, x: Array) -> tuple[Array, Array]:
 
 
 def _distance_to_mesh(solid: Solid, x: Array) -> tuple[Array, Array]:
-    """Return those of a mesh: the nearest triangle by another library, and the sign by its winding number."""
+    """Return those of a mesh: the nearest triangle by another library, and the sign by its winding number.
+
+    Outside the mesh's box, where nothing is felt, the distance is that to the box.
+    """
     import igl
 
     triangles = mesh_triangles(solid)
     vertices, faces, here = triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), x.real[None]
+    if (outside := away(here[0], vertices)) > 0:
+        return outside + 0 * x[0], 0 * x
     k = int(np.ravel(igl.point_mesh_squared_distance(here, vertices, faces)[1])[0])
     arm = x - nearest(x, triangles[k])[0] @ triangles[k]
     inside = np.ravel(igl.winding_number(vertices, faces, here))[0] > 0.5
     d = (-1 if inside else 1) * np.sqrt((arm * arm).sum())
     return d, arm / d
+
+
+def away(x: Array, points: Array) -> float:
+    """Return how far a position is from the box of points, 0 inside."""
+    return float(np.linalg.norm(np.maximum(0, np.maximum(points.min(axis=0) - x, x - points.max(axis=0)))))
 
 
 @dataclass
@@ -178,17 +188,19 @@ class Meeting:
         return out
 
     def _around(self, s: int, x: Array) -> tuple[int | None, Array]:
-        facets, best = self.model.surface.facets, (np.inf, None, np.zeros(0))
+        facets, best, reach = self.model.surface.facets, (np.inf, None, np.zeros(0)), 0.5 * REACH * self.model.dx
+        low, high = (each(x.real[facets], axis=1) for each in (np.min, np.max))
+        near = np.all((x[s].real > low - reach) & (x[s].real < high + reach), axis=1)  # boxes; the others are far off
         for body in np.unique(self.body):
-            if body == self.body[s]:
+            own = np.flatnonzero(near & (self.body[facets[:, 0]] == body))
+            if body == self.body[s] or not len(own):
                 continue
-            own = [f for f, corner in enumerate(facets) if self.body[corner[0]] == body]
             found = [(f, *nearest(x[s], x[facets[f]])) for f in own]
             least = min(each[2] for each in found)
             f, weights, distance_, height = max(
                 (each for each in found if each[2] <= least * (1 + 1e-9)), key=lambda each: abs(each[3])
             )
-            if height < 0 and distance_ < min(best[0], 0.5 * REACH * self.model.dx):
+            if height < 0 and distance_ < min(best[0], reach):
                 best = distance_, f, weights
         return best[1], best[2]
 
