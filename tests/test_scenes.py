@@ -100,7 +100,7 @@ SMALLER = {
         f"{name}_codesign": [f"bodies.{name}.sampling.lattice.count=3", boundaries(3, 0.0), *designed(name)]
         for name in ("quadruped", "hexapod", "octopod")
     },
-    "gripper_least": ["world.dx=0.006"],
+    "gripper_least": ["world.dx=0.006"], "gripper_least_pressure": ["world.dx=0.006"],
     "finger_codesign": ["world.dx=0.002", "bodies.finger.spacing=0.001"],
     "creature": ["bodies.creature.spacing=0.02", "time.substeps=2", boundaries(3, 0.0), *elastic("creature")],
 }  # fmt: skip
@@ -272,9 +272,18 @@ def test_the_shape_files_agree_with_their_script():
     np.testing.assert_allclose(mesh.triangles, triangles, atol=1e-7)
 
 
+OWN_KERNELS = {"gripper_tendon", "gripper_pneumatic", "gripper_least", "gripper_least_pressure"}
+"""Scenes whose gradient needs kernels that no other test compiles, for minutes; tests/engine has that of each part."""
+
+
+def unless_its_own(path: Path) -> Any:
+    """Return a scene as a parameter of a test with gradients, which is a slow one if the scene has its own kernels."""
+    return pytest.param(path, marks=pytest.mark.slow if path.stem in OWN_KERNELS else (), id=path.stem)
+
+
 def of_job(*jobs: str) -> pytest.MarkDecorator:
     """Return a decorator that runs a test for the scenes of some jobs."""
-    return pytest.mark.parametrize("path", [p for p in SCENES if job_of(p) in jobs], ids=lambda path: path.stem)
+    return pytest.mark.parametrize("path", [unless_its_own(path) for path in SCENES if job_of(path) in jobs])
 
 
 @of_job("control", "codesign")
@@ -334,17 +343,7 @@ def test_walkers_stand_on_the_floor_in_gradient_checks(name):
     assert x[:, 1].min() - ground < 1.5 * dx
 
 
-OWN_KERNELS = {"gripper_tendon", "gripper_pneumatic"}
-"""Scenes whose gradient needs kernels that no other test compiles, for minutes; tests/engine has that of each part."""
-
-gradient_scenes = pytest.mark.parametrize(
-    "path",
-    [pytest.param(path, marks=pytest.mark.slow if path.stem in OWN_KERNELS else ()) for path in MOVING],
-    ids=[path.stem for path in MOVING],
-)
-
-
-@gradient_scenes
+@pytest.mark.parametrize("path", [unless_its_own(path) for path in MOVING])
 def test_the_gradient_of_a_scene_agrees_with_differences(path, tmp_path):
     scene = load_scene(path)
     # a controller needs a few steps until its effect exceeds rounding

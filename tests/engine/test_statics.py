@@ -72,7 +72,14 @@ CASES = {
 """Name -> dimension, whether volumes are averaged, and whether there is a slit."""
 
 
-@pytest.fixture(scope="module", params=CASES.values(), ids=CASES)
+FAST = ("2D", "3D averaged", "2D averaged, with a slit", "3D with a slit")
+"""Cases in which each pair of choices occurs. The kernels of the others take minutes to compile."""
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(c, marks=() if name in FAST else pytest.mark.slow, id=name) for name, c in CASES.items()],
+)
 def rested(request):
     """Return a cantilever's model, inputs, equilibrium and rest."""
     dim, averaged, slit = request.param
