@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 import pytest
 from little_worlds import needs_jit
 from llvmlite import ir
 from numba import cfunc, njit, vectorize
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.registry import cpu_target
+from numba.core.errors import TypingError
+from numba.core.registry import CPUDispatcher, cpu_target
 
 from cqrun.numerics.compile import kernel
 from cqrun.numerics.linking import Library
@@ -116,3 +119,25 @@ def test_a_helper_that_is_missing_stops_the_compilation():
         assert library.get_pointer_to_function("absent") == 0
         with pytest.raises(AssertionError, match="_ZN6absent was not linked"):
             library.get_pointer_to_function("lacking")
+
+
+def test_garbage_is_collected_before_and_after_a_kernel_is_compiled_but_not_meanwhile(monkeypatch):
+    collects = []
+
+    @kernel
+    def doubled(x):
+        return 2.0 * x
+
+    def compile_as_numba(compiled, signature):
+        collects.append(gc.isenabled())
+        return numbas_own(compiled, signature)
+
+    numbas_own = CPUDispatcher.compile
+    monkeypatch.setattr(CPUDispatcher, "compile", compile_as_numba)
+    assert gc.isenabled()
+    assert doubled(2.0) == 4.0
+    assert gc.isenabled()
+    with pytest.raises(TypingError):
+        doubled("two")
+    assert gc.isenabled()
+    assert collects == [False, False]
