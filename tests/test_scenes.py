@@ -272,7 +272,10 @@ def test_the_shape_files_agree_with_their_script():
     np.testing.assert_allclose(mesh.triangles, triangles, atol=1e-7)
 
 
-OWN_KERNELS = {"gripper_tendon", "gripper_pneumatic", "gripper_least", "gripper_least_pressure"}
+OWN_KERNELS = {
+    "gripper_tendon", "gripper_pneumatic", "gripper_least", "gripper_least_pressure", "real_beam_material", "tentacle",
+    "finger_codesign",
+}  # fmt: skip
 """Scenes whose gradient needs kernels that no other test compiles, for minutes; tests/engine has that of each part."""
 
 

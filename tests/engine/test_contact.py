@@ -97,7 +97,8 @@ def random_facets(x, particle, rng):
     return np.array(list(facets.values()))
 
 
-@pytest.fixture(scope="module", params=[(2, True), (2, False), (3, False)], ids=["2D viscous", "2D", "3D"])  # fmt: skip
+@pytest.fixture(scope="module", params=[(2, True), pytest.param((2, False), marks=pytest.mark.slow), (3, False)],
+                ids=["2D viscous", "2D", "3D"])  # fmt: skip
 def case(request):
     """Return a model, its inputs, cotangents, the rollout and its gradient."""
     dim, viscous = request.param

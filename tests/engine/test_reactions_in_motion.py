@@ -50,7 +50,11 @@ def product(records, bar):
     return sum((records.held[name][1:] * rows[1:]).sum() for name, rows in bar.held.items())
 
 
-@pytest.fixture(scope="module", params=[(2, True), (2, False), (3, False)], ids=["2D viscous", "2D", "3D"])
+@pytest.fixture(
+    scope="module",
+    params=[(2, True), pytest.param((2, False), marks=pytest.mark.slow), (3, False)],
+    ids=["2D viscous", "2D", "3D"],
+)
 def case(request):
     """Return a model, its inputs, cotangents, the records and the gradient."""
     dim, viscous = request.param

@@ -135,7 +135,11 @@ def random_bar(model, inputs, rng):
     return replace(bar, held=held, rigid=poses), random_state(inputs.state, rng)
 
 
-@pytest.fixture(scope="module", params=[(2, True), (2, False), (3, False)], ids=["2D viscous", "2D", "3D"])
+@pytest.fixture(
+    scope="module",
+    params=[(2, True), pytest.param((2, False), marks=pytest.mark.slow), (3, False)],
+    ids=["2D viscous", "2D", "3D"],
+)
 def case(request):
     """Return a model, its inputs, cotangents, the rollout and its gradient."""
     dim, viscous = request.param
