@@ -214,6 +214,7 @@ def test_a_level_body_costs_nothing(level, rng):
     assert bound.value(track) == 0.0
 
 
+@pytest.mark.slow
 @whole_job
 def test_the_table_learns_to_be_level(table):
     words = ("level.yaml", "--allow-plugins", "--quiet", "--threads", "1")

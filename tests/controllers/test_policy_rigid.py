@@ -131,7 +131,7 @@ SIZES: dict[str, Any] = {"grip": [-0.1, 0.1], "twist": None, "pushed": [-0.1, 0.
 
 @pytest.fixture(scope="module", params=[
     pytest.param((2, True, POSES), id="2D-motion"),
-    pytest.param((2, False, FORCES), id="2D-forces"),
+    pytest.param((2, False, FORCES), id="2D-forces", marks=pytest.mark.slow),
     pytest.param((3, False, POSES + FORCES), id="3D-both", marks=pytest.mark.slow),
 ])  # fmt: skip
 def case(request):
@@ -218,6 +218,7 @@ def test_chunks_that_begin_inside_control_steps_give_the_same_gradient():
         np.testing.assert_allclose(got, want, rtol=0, atol=1e-12 * np.abs(want).max())
 
 
+@pytest.mark.slow
 def test_a_reversed_run_gives_the_gradient_of_kept_states():
     gripper = Gripper(carried(2, controls=CONTROLS), ("turned", "pushed"), viscous=False)
     found = [gripper.gradient(reversible=reversible) for reversible in (True, False)]

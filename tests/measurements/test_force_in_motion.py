@@ -195,6 +195,7 @@ def test_the_gradient_of_a_wanted_force_agrees(folder):
     assert all(row["adjoint"] != 0.0 for row in rows)
 
 
+@pytest.mark.slow
 def test_the_gradient_holds_for_a_motion_that_starts_at_equilibrium(folder):
     """A reversed run, and one that keeps states because of a viscous material."""
     scene = "\n".join(line for line in PULL.splitlines() if "floor" not in line) + "\nstart: equilibrium\n"

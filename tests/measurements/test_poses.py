@@ -272,7 +272,10 @@ def test_python_gives_the_gradient_by_any_number(folder):
 # --- runs -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("optimizer", ["least_squares: {max_iterations: 15}", "lbfgs: {max_iterations: 4}"])
+SLOW_FIT = pytest.param("least_squares: {max_iterations: 15}", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("optimizer", [SLOW_FIT, "lbfgs: {max_iterations: 4}"])
 def test_stopped_and_resumed_it_is_the_same_to_the_bit(folder, optimizer):
     scene = changed(scene_of(folder, recording()), "least_squares: {max_iterations: 15}", optimizer)
     whole = run_sysid(scene, [], folder / "whole", threads=1)

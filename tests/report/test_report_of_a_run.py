@@ -185,6 +185,7 @@ def test_a_run_without_a_result_says_so(copied, status, words):
     assert "The run has no result yet. So far it has done" in text
 
 
+@pytest.mark.slow
 def test_a_page_of_a_run_with_many_large_things_stays_small(copied):
     """Noise cannot be compressed, so these pictures have to become smaller, and some are left out."""
     from PIL import Image

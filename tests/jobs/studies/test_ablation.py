@@ -156,6 +156,7 @@ def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     assert {name: mean.mean for name, mean in means.items()} == result_of(other)["trained"]["terms"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_process")
 def test_that_no_run_meets_the_constraints_is_a_failure(tmp_path):
     scene = written(tmp_path, DESIGN)
@@ -167,6 +168,7 @@ def test_that_no_run_meets_the_constraints_is_a_failure(tmp_path):
     assert "no run of any variant meets the constraints" in text
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
 def test_runs_that_blow_up_leave_the_comparison_of_the_others(tmp_path):
     """With bounds of stiffness up to 10^7 Pa, no step of the least length that is tried is stable."""
