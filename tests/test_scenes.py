@@ -100,7 +100,7 @@ SMALLER = {
         f"{name}_codesign": [f"bodies.{name}.sampling.lattice.count=3", boundaries(3, 0.0), *designed(name)]
         for name in ("quadruped", "hexapod", "octopod")
     },
-    "gripper_least": ["world.dx=0.006"], "gripper_least_pressure": ["world.dx=0.006"],
+    "gripper_least": ["world.dx=0.006"],
     "finger_codesign": ["world.dx=0.002", "bodies.finger.spacing=0.001"],
     "creature": ["bodies.creature.spacing=0.02", "time.substeps=2", boundaries(3, 0.0), *elastic("creature")],
 }  # fmt: skip
@@ -273,8 +273,7 @@ def test_the_shape_files_agree_with_their_script():
 
 
 OWN_KERNELS = {
-    "gripper_tendon", "gripper_pneumatic", "gripper_least", "gripper_least_pressure", "real_beam_material", "tentacle",
-    "finger_codesign",
+    "gripper_tendon", "gripper_pneumatic", "gripper_least", "real_beam_material", "tentacle", "finger_codesign",
 }  # fmt: skip
 """Scenes whose gradient needs kernels that no other test compiles, for minutes; tests/engine has that of each part."""
 

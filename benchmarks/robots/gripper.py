@@ -1,14 +1,14 @@
-"""Find the least tension or pressure with which two fingers hold a disc, and compare their push with the closed answer.
+"""Find the least tension with which two fingers hold a disc, and compare their push with the closed answer.
 
-    python -m benchmarks.robots.gripper [--by tension|pressure] [--runs DIR] [--out FILE]
+    python -m benchmarks.robots.gripper [--runs DIR] [--out FILE]
 
-The run is `cqrun codesign scenes/robots/gripper_least.yaml` (or `gripper_least_pressure.yaml`): a gradient search for
-the least tension (or pressure) with which the disc slips by no more than 3 mm. The fingers bend, so each touches the disc at an angle t below its equator, with one or
+The run is `cqrun codesign scenes/robots/gripper_least.yaml`: a gradient search for the least tension with which the
+disc slips by no more than 3 mm. The fingers bend, so each touches the disc at an angle t below its equator, with one or
 two points of its surface. A finger that is about to slip pushes with the horizontal force
 
     H = W / 2 (cos t - mu sin t) / (sin t + mu cos t),
 
-which is W / (2 mu) for upright fingers. On one core it takes a quarter of an hour with tendons, an hour with chambers.
+which is W / (2 mu) for upright fingers. On one core it takes a quarter of an hour.
 """
 
 from __future__ import annotations
@@ -28,18 +28,15 @@ from cqrun.store.result import LearnedResult, require_result
 from cqrun.store.trajectory import read_trajectory
 
 ROOT = Path(__file__).parents[2]
-SCENES = {
-    "tension": ("gripper_least.yaml", "actuators.pull_left.cable.tension", "tension_N_m"),
-    "pressure": ("gripper_least_pressure.yaml", "actuators.air_left.chamber.pressure", "pressure_Pa"),
-}
-"""What drives the fingers -> the scene in scenes/robots, its unknown, and the unknown's name in the file."""
+SCENE = ROOT / "scenes" / "robots" / "gripper_least.yaml"
+TENSION = "actuators.pull_left.cable.tension"
 HELD = 0.3
 """The last part of the run, over which pushes and angles are averaged [s]."""
 
 
-def compared(path: Path, run: Path) -> dict[str, Any]:
+def compared(run: Path) -> dict[str, Any]:
     """Return the push of a finger at the end of a run, beside the closed answer for the angle at which it touches."""
-    scene, motion = load_scene(path), read_trajectory(run / "trajectory.h5")
+    scene, motion = load_scene(SCENE), read_trajectory(run / "trajectory.h5")
     disc: Any = scene.rigid["disc"]
     center, radius = np.array(disc.shape.value.center), disc.shape.value.radius
     weight = np.pi * radius**2 * disc.density * -scene.world.gravity[1]
@@ -83,20 +80,16 @@ def touching_angle(face: Array, c: Array) -> float:
 def main() -> None:
     """Run the search, or continue it, and write the file."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--by", choices=SCENES, default="tension")
     parser.add_argument("--runs", type=Path, default=Path("results") / "gripper")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "measured" / "gripper.json")
     options = parser.parse_args()
-    file, unknown, column = SCENES[options.by]
-    scene = ROOT / "scenes" / "robots" / file
-    run = run_codesign(scene, [], options.runs)
+    run = run_codesign(SCENE, [], options.runs)
     result = require_result(run, LearnedResult)
     found = {
-        "command": f"python -m benchmarks.robots.gripper --by {options.by}", "engine": engine_hash(),
-        "status": result.status, "iterations": result.iterations, column: result.unknowns[unknown].value,
-        **compared(scene, run),
+        "command": "python -m benchmarks.robots.gripper", "engine": engine_hash(), "status": result.status,
+        "iterations": result.iterations, "tension_N_m": result.unknowns[TENSION].value, **compared(run),
     }  # fmt: skip
-    write_json(options.out or ROOT / "benchmarks" / "measured" / f"{scene.stem}.json", found)
+    write_json(options.out, found)
     print(found)
 
 
