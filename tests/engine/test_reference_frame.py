@@ -82,12 +82,10 @@ CASES = {
 
 FAST = ("2D", "3D reversed", "2D means, reversed", "2D split", "3D split, means, reversed")
 """Cases in which each pair of choices occurs. The kernels of the others take minutes to compile."""
+ALL = [pytest.param(case, marks=() if name in FAST else pytest.mark.slow, id=name) for name, case in CASES.items()]
 
 
-@pytest.fixture(
-    scope="module",
-    params=[pytest.param(c, marks=() if name in FAST else pytest.mark.slow, id=name) for name, c in CASES.items()],
-)
+@pytest.fixture(scope="module", params=ALL)
 def case(request):
     """Return a model, its inputs, cotangents, the rollout and its gradient."""
     dim, viscous, averaged, *spacing = request.param
@@ -125,10 +123,7 @@ def test_dot_product(case, kind, rng):
     assert backward == pytest.approx(forward, rel=DOT_PRODUCT)
 
 
-THREADED = [
-    (True, 0.0, True, np.float64), (False, 0.0, False, np.float64), (True, 0.06, False, np.float32),
-    (False, 0.0, True, np.float32),
-]  # fmt: skip
+THREADED = [(True, 0.0, True, np.float64), (False, 0.0, False, np.float64), (True, 0.06, False, np.float32)]
 """Whether volumes are averaged, the lattice's spacing, whether the material is viscous, and the precision."""
 
 
