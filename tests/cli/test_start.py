@@ -127,6 +127,7 @@ ENVIRONMENT = {
 }
 
 
+@pytest.mark.slow
 def test_the_users_environment_changes_no_result(tmp_path):
     (tmp_path / "fit.yaml").write_text("# Länge\n" + BEAM.replace("a small cantilever", "ein Stäbchen") + FIT)
     words = ("sysid", "fit.yaml", "-o", "optimizer.least_squares.max_iterations=2", "--threads", "1")
@@ -170,6 +171,7 @@ def test_a_file_of_settings_for_numba_is_not_read(tmp_path):
     assert err.startswith("error: .numba_config.yaml: Numba would read this file, and results would depend on it")
 
 
+@pytest.mark.slow
 def test_a_folder_whose_name_is_not_utf8_is_a_folder_like_any_other(tmp_path):
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
     folder.mkdir()

@@ -96,6 +96,7 @@ def test_what_is_measured_is_the_scenes_own_rollout(text):
     assert np.array_equal(excerpt.states[-1], states[0])
 
 
+@pytest.mark.slow
 def test_blocks(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench, "SIZES", ((2, 6),))
     monkeypatch.setattr(bench, "CORNERS_LIMIT", 4)

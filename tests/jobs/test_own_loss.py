@@ -68,6 +68,7 @@ def test_gradient_is_that_of_the_function_through_the_whole_motion(problem, path
     assert gradient[path] == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [E, VISCOSITY, "bodies.beam.material.density"])
 def test_gradient_of_what_viscosity_dissipates_is_that_of_the_motion(path):
     data = scene(measure={"lost": {"dissipated_energy": {}}})
@@ -79,6 +80,7 @@ def test_gradient_of_what_viscosity_dissipates_is_that_of_the_motion(path):
     assert loss.value_and_grad({path: at})[1][path] == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [E, NU, "bodies.beam.material.density", "bodies.beam.shape.box.size.1"])
 def test_gradient_of_stress_and_energy_of_averaged_volumes_is_that_of_the_motion(path):
     """Also by the shape, on which the corners' shares of the particles depend."""

@@ -79,6 +79,7 @@ OTHERS = f"""\
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", ["reference", "updated"])
 def test_other_terms_of_the_stress_act_beside_it(frame, tmp_path):
     """With a branch of no weight, fibres and incompressibility change a motion and a gradient as they do without it."""
@@ -104,6 +105,7 @@ def test_other_terms_of_the_stress_act_beside_it(frame, tmp_path):
     assert all(abs(row["adjoint"]) > row["noise"] and row["error"] < 1e-6 for row in rows), rows
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_motion_from_an_equilibrium(tmp_path):
     """The law's stress at the equilibrium is where the branch begins, so it depends on the law and on the sag."""
     clamp = "boundaries.clamp.sticky={region: {box: {corner: [0, 0], size: [0.04, 0.16]}}, displacement: [0, 0.02]}"

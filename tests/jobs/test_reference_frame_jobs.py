@@ -63,6 +63,7 @@ def test_gradcheck_agrees_with_an_unknown_shape(scenes, scene):
     assert found["bodies.beam.shape.box.size"]["adjoint"] != 0.0
 
 
+@pytest.mark.slow
 def test_gradcheck_agrees_with_shapes_that_are_not_unknowns(scenes):
     """All numbers of a scene that touches a floor, so points of surfaces move as well."""
     (scenes / "touching.yaml").write_text(

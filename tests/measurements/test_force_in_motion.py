@@ -113,6 +113,7 @@ def test_a_force_curve_finds_the_stiffness(folder, more):
     assert "tracks_pull.png" in {path.name for path in draw_run(run)}
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_fit_to_a_force_agrees(folder):
     _, agrees = run_gradcheck(scene_of(folder, fit()), (), folder / "out", reporter=Listener())
     assert agrees

@@ -154,6 +154,7 @@ def test_an_archive_that_holds_more_stays(learned, tmp_path, monkeypatch, capsys
         unpack(LEARNED, tmp_path / "elsewhere", rich)
 
 
+@pytest.mark.slow
 def test_minutes_of_another_engine_are_not_deleted(learned, tmp_path):
     _, archive = learned
     unpack(LEARNED, tmp_path, archive)

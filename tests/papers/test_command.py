@@ -249,6 +249,7 @@ def words_for_fracture(folder):
     return [*words, "--runs", str(folder / "runs"), "--out", str(folder / "out")]
 
 
+@pytest.mark.slow
 def test_a_killed_command_continues(tmp_path):
     """SIGKILL while the second of two tasks runs: the first is kept, and the same command finishes."""
     words, pipes = words_for_fracture(tmp_path), {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
