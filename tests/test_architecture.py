@@ -150,6 +150,7 @@ MUTATIONS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MUTATIONS)
 def test_the_walk_finds_every_kind_of_wrong_import(name, sources):
     module, line, message = MUTATIONS[name]

@@ -273,7 +273,8 @@ def test_the_shape_files_agree_with_their_script():
 
 
 OWN_KERNELS = {
-    "gripper_tendon", "gripper_pneumatic", "gripper_least", "real_beam_material", "tentacle", "finger_codesign",
+    "gripper_tendon", "gripper_pneumatic", "gripper_least", "real_beam_material", "real_beam_rest",
+    "tentacle", "finger_codesign",
 }  # fmt: skip
 """Scenes whose gradient needs kernels that no other test compiles, for minutes; tests/engine has that of each part."""
 

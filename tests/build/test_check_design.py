@@ -196,6 +196,7 @@ def test_bad_unknowns(name):
         build(load_scene(data(unknowns)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
 def test_the_length_of_a_cable_follows_its_body(dim, tmp_path):
     """Compare gradients with differences for a taut, bent cable and a slack one on a bar of variable shape."""

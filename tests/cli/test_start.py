@@ -77,6 +77,7 @@ def test_nothing_is_imported_from_the_current_folder(folder, python, path):
     assert not list(folder.glob("was-run-*"))
 
 
+@pytest.mark.slow
 def test_runs_of_a_study_import_nothing_from_the_current_folder(folder):
     words = ("control", "finger.yaml", "--seeds", "1", "-o", "optimizer.adam.max_iterations=1", "-q", "--threads", "1")
     code, out, err = run(*words, folder=folder)

@@ -130,7 +130,7 @@ SIZES: dict[str, Any] = {"grip": [-0.1, 0.1], "twist": None, "pushed": [-0.1, 0.
 
 
 @pytest.fixture(scope="module", params=[
-    pytest.param((2, True, POSES), id="2D-motion"),
+    pytest.param((2, True, POSES), id="2D-motion", marks=pytest.mark.slow),
     pytest.param((2, False, FORCES), id="2D-forces", marks=pytest.mark.slow),
     pytest.param((3, False, POSES + FORCES), id="3D-both", marks=pytest.mark.slow),
 ])  # fmt: skip

@@ -88,6 +88,7 @@ def test_dot_product_of_rigid_bodies(case, name, rng):
     assert backward == pytest.approx(forward, rel=DOT_PRODUCT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["friction", slow("v")])
 def test_dot_product_of_soft_bodies(case, kind, rng):
     model, inputs, records_bar, state_bar, _, bar = case

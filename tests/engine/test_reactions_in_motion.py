@@ -52,7 +52,11 @@ def product(records, bar):
 
 @pytest.fixture(
     scope="module",
-    params=[(2, True), pytest.param((2, False), marks=pytest.mark.slow), (3, False)],
+    params=[
+        (2, True),
+        pytest.param((2, False), marks=pytest.mark.slow),
+        pytest.param((3, False), marks=pytest.mark.slow),
+    ],
     ids=["2D viscous", "2D", "3D"],
 )
 def case(request):

@@ -42,6 +42,7 @@ def few(monkeypatch):
     monkeypatch.setattr(bench, "COPIED", 1 << 20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "passes"), [(BEAM, PASSES), (BEAM, CHAINED), (FINGER, ACTING), (PUSHED, ACTING), (PULLED, PULLING)]
 )

@@ -301,6 +301,7 @@ def test_a_body_alone_is_designed_if_its_activations_are_given(finger, tmp_path)
     assert replay["loss"] == result["loss"]
 
 
+@pytest.mark.slow
 def test_a_finger_at_rest_is_designed_alone(tmp_path):
     """Thinner walls and stiffer fibres bend it at less pressure, until the walls stretch too far."""
     coarse = ["world.dx=0.002", "bodies.finger.spacing=0.001", "constraints.stretch.at_most=1.15"]

@@ -139,6 +139,7 @@ def test_killed_three_times(fit, tmp_path, rng):
     killed_and_resumed(fit, tmp_path, OPTIMIZERS["least_squares"], 3, rng)
 
 
+@pytest.mark.slow
 def test_learning_killed_three_times(tmp_path, rng):
     killed_and_resumed(written(tmp_path), tmp_path, LEARNERS["adam"], 3, rng, "control")
 

@@ -51,6 +51,7 @@ SIZE = "bodies.beam.shape.box.size.0"
 """Its length; two particles in a cell let it be shorter than in the scene."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["fit", "elastic"])
 def test_gradcheck_agrees_with_an_unknown_shape(scenes, scene):
     path = scenes / f"{scene}.yaml"
@@ -102,6 +103,7 @@ def test_validate_says_how_a_gradient_keeps_its_states(scenes):
 LEARNS = ["world.frame=reference", "bodies.finger.sampling.lattice.count=6", "world.dx=0.08", "time.substeps=8"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("job", "text"), [(run_control, FINGER), (run_codesign, DESIGN)], ids=["control", "codesign"])
 def test_a_robot_learns_and_its_gradients_agree(tmp_path, job, text):
     """With a policy, several gradients of one rollout, and unknowns per particle."""

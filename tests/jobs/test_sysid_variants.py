@@ -200,6 +200,7 @@ def test_what_cannot_be(two, tmp_path, name):
         list(validate(two, list(overrides)))
 
 
+@pytest.mark.slow
 def test_single_precision_has_no_intervals(two, tmp_path):
     run = find(two, tmp_path, "precision=float32", "optimizer={lbfgs: {max_iterations: 2}}")
     entry = result_of(run)["unknowns"][SHEAR_PATH]

@@ -131,6 +131,7 @@ def test_a_load_cell_behind_the_prop_that_was_set_to_zero(folder):
     np.testing.assert_allclose(cell.residuals(records, 0.0), 0.0, atol=6 * NOISE)
 
 
+@pytest.mark.slow
 def test_poses_and_forces_in_one_fit(folder):
     """Each in its own unit; they share modulus and density. The arm of the poses has no prop."""
     unknowns = f"  {DENSITY}: {{bounds: [500, 3000]}}\n  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}\n"
@@ -207,6 +208,7 @@ def test_the_gradient_is_that_of_differences(folder):
         assert gradient[k] == pytest.approx((ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / 12e-3, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_gradcheck_agrees(folder):
     run, agrees = run_gradcheck(scene_of(folder, PROP + CLAMP), [], folder / "out", threads=1)
     assert agrees, "\n".join(report_lines(run))

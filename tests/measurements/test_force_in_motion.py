@@ -222,6 +222,7 @@ optimizer: {{slsqp: {{max_iterations: 2}}}}
 """
 
 
+@pytest.mark.slow
 def test_gradients_of_forces_as_terms_and_constraints_agree(folder):
     _, agrees = run_gradcheck(scene_of(folder, DRIVEN), (), folder / "out", reporter=Listener())
     assert agrees

@@ -178,6 +178,7 @@ def test_the_picture_says_strain(scene, tmp_path, monkeypatch):
     assert loss_curve(read_run(run)).title == "RMSE"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["least_squares: {max_iterations: 10}", "lbfgs: {max_iterations: 10}"])
 def test_killed_and_resumed_it_is_the_same_to_the_bit(scene, tmp_path, optimizer):
     given = f"optimizer={{{optimizer}}}"

@@ -126,6 +126,7 @@ def test_table_trajectory_pictures_and_report(found):
     assert tracks.at_rest
 
 
+@pytest.mark.slow
 def test_tilt_and_offset_of_one_recording_beside_a_shared_material(folder):
     unknowns = f"""\
   {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}
@@ -141,6 +142,7 @@ def test_tilt_and_offset_of_one_recording_beside_a_shared_material(folder):
     assert result["recordings"]["arm"]["rmse_mm"] < 0.06
 
 
+@pytest.mark.slow
 def test_markers_in_motion_and_poses_in_one_fit(folder):
     """Both are in metres and share the modulus; the motion is a swing in the reference frame."""
     swing = ARM.replace("duration: 0.02", "duration: 0.1")
@@ -247,6 +249,7 @@ def test_taylor_through_the_equilibria(folder):
     assert np.diff(np.log(left)).max() / np.log(0.5) > 1.9
 
 
+@pytest.mark.slow
 def test_gradcheck_agrees(folder):
     unknowns = f"""\
   {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}

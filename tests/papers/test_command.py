@@ -171,6 +171,7 @@ def test_a_damaged_file_stops_only_its_figure(two_figures, tmp_path, capsys, fil
     assert (tmp_path / "out" / "quick" / "two.png").exists()
 
 
+@pytest.mark.slow
 def test_damaged_published_files_are_reported_on_the_page(tmp_path, capsys):
     shutil.copytree(PUBLISHED, tmp_path / "figures")
     (tmp_path / "figures" / "quick" / "cq2_fig5.json").write_text("<<<<<<< ours")

@@ -135,6 +135,7 @@ def test_a_report_that_fails_does_not_make_the_run_fail(command, beam, tmp_path,
     assert "warning: no report: no words\\x1b[31m; `cqrun report " in err
 
 
+@pytest.mark.slow
 def test_a_sweep_has_a_page_with_its_table_its_picture_and_its_runs(command, tmp_path, pictures):
     scene = tmp_path / "tiny.yaml"
     scene.write_text(TINY)

@@ -90,6 +90,7 @@ def test_a_worker_that_dies_loses_nothing(scene, expected, workers, tmp_path):
     assert not list(tmp_path.glob(".sweep-*"))
 
 
+@pytest.mark.slow
 def test_workers_without_our_files_send_the_runs_back(scene, expected, workers, tmp_path, monkeypatch):
     """They cannot read the token."""
     orders = []
@@ -109,6 +110,7 @@ def test_workers_without_our_files_send_the_runs_back(scene, expected, workers, 
     assert (again, good) == (path, True)
 
 
+@pytest.mark.slow
 def test_seeds_and_variants_run_there_too(workers, tmp_path):
     """The variant with its design free has the runs of the seeds, which are there already."""
     scene = written(tmp_path)
@@ -153,6 +155,7 @@ def test_a_worker_with_another_engine_makes_no_run():
     assert "a worker has another engine" in cluster.carry_out(order).message
 
 
+@pytest.mark.slow
 def test_a_stopped_sweep_stops_its_runs(scene, workers, tmp_path):
     options = SweepOptions([f"{E}=3e4:6e4:8"], on=on(workers))
     with pytest.raises(Stopped, match="of 8 runs are finished"):

@@ -107,6 +107,7 @@ def test_the_work_of_weight_and_actuators_is_found_again_in_motion_and_strain(tm
     assert kept == pytest.approx(given, abs=(0.02 if frame == "reference" else 0.1) * size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nu", [0.3, 0.499], ids=["local", "averaged"])
 def test_what_viscosity_dissipates_is_what_weight_has_done_and_motion_and_strain_have_not(tmp_path, nu):
     """A viscous beam sinks under its weight. The balance is right to 0.16 %, and more than half has become heat."""

@@ -120,6 +120,7 @@ def test_variants_are_learned_and_compared(tmp_path, monkeypatch):
     assert "note: control failed with rate 1e-06" in ablation_lines(path)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_process")
 def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     """The tip comes to .0146 with the stiffness free, and to .0158 without."""
@@ -291,6 +292,7 @@ def test_stopped_it_says_of_how_many_seeds_it_can_compare_all(tmp_path, monkeypa
             run_ablation(design(tmp_path, E), [], tmp_path / "out", threads=2, seeds=3)
 
 
+@pytest.mark.slow
 def test_a_trial_that_was_killed_is_no_rate_that_fails(tmp_path, monkeypatch):
     """The command ends, and goes on when repeated."""
     scene = design(tmp_path, E)

@@ -148,6 +148,7 @@ def test_wrong_options_are_refused(swept, tmp_path, options, message):
         run_sweep(swept[0] / "beam.yaml", [], tmp_path, options)
 
 
+@pytest.mark.slow
 def test_a_failed_run_is_a_row_and_the_command_fails(swept, tmp_path):
     """A beam that nothing holds leaves the world after 0.2 s."""
     folder, _, _ = swept
