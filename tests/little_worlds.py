@@ -7,7 +7,7 @@ need by their numbers: a modulus or a viscosity of zero, a condition without nod
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -56,6 +56,14 @@ PASSIVE = spring.SpringKernel
 
 needs_jit = pytest.mark.skipif(config.DISABLE_JIT, reason="threads and speed need compiled kernels")
 """Marks a test of threads, or one that would take minutes in plain Python."""
+
+
+def cases(named: Mapping[str, Any], fast: Collection[str]) -> list[Any]:
+    """Return cases as parameters of a fixture or a test; those that are not named as fast are slow tests.
+
+    Each has kernels of its own, which take minutes to compile.
+    """
+    return [pytest.param(case, marks=() if name in fast else pytest.mark.slow, id=name) for name, case in named.items()]
 
 
 @dataclass

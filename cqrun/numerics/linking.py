@@ -140,7 +140,7 @@ codegen.JITCPUCodegen._library_class = Library
 
 @contextmanager
 def garbage_kept() -> Iterator[None]:
-    """Collect no garbage: to look through all that a compiler makes, which is in use, takes a tenth of its time."""
+    """Collect no garbage: little of what a compiler makes is garbage, and to look for it takes a tenth of the time."""
     collects = gc.isenabled()
     gc.disable()
     try:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import total_lagrangian
 import touching
-from little_worlds import needs_jit
+from little_worlds import cases, needs_jit
 from rich_scene import (
     COUNTS,
     DX,
@@ -23,6 +23,7 @@ from rich_scene import (
     rebuilt,
 )
 from test_reference_frame import DOT_PRODUCT, SLOW, STEPS, TINY, compiled, completed, held, loss
+from touching import BODIES
 
 from cqrun.boundaries.solid import CAPSULE, PLANE, Solid
 from cqrun.engine.frames import make_rollout
@@ -97,8 +98,7 @@ def random_facets(x, particle, rng):
     return np.array(list(facets.values()))
 
 
-@pytest.fixture(scope="module", params=[(2, True), pytest.param((2, False), marks=pytest.mark.slow), (3, False)],
-                ids=["2D viscous", "2D", "3D"])  # fmt: skip
+@pytest.fixture(scope="module", params=cases(BODIES, ["2D viscous", "3D"]))
 def case(request):
     """Return a model, its inputs, cotangents, the rollout and its gradient."""
     dim, viscous = request.param

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import total_lagrangian
-from little_worlds import needs_jit
+from little_worlds import cases, needs_jit
 from rich_scene import KINDS, arrays, direction, moved, parts, random_records
 from test_contact import smooth, touched
 from test_reference_frame import DOT_PRODUCT, SLOW, STEPS, TINY, compiled, completed
+from touching import BODIES
 
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.frames import make_rollout
@@ -50,15 +51,7 @@ def product(records, bar):
     return sum((records.held[name][1:] * rows[1:]).sum() for name, rows in bar.held.items())
 
 
-@pytest.fixture(
-    scope="module",
-    params=[
-        (2, True),
-        pytest.param((2, False), marks=pytest.mark.slow),
-        pytest.param((3, False), marks=pytest.mark.slow),
-    ],
-    ids=["2D viscous", "2D", "3D"],
-)
+@pytest.fixture(scope="module", params=cases(BODIES, ["2D viscous"]))
 def case(request):
     """Return a model, its inputs, cotangents, the records and the gradient."""
     dim, viscous = request.param

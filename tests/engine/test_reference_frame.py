@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import total_lagrangian
-from little_worlds import STRESSES, TERMS, needs_jit, world
+from little_worlds import STRESSES, TERMS, cases, needs_jit, world
 from rich_scene import KINDS, arrays, direction, moved, parts, product, random_records, random_state, rebuilt, rich
 from scipy.spatial.transform import Rotation
 
@@ -80,12 +80,11 @@ CASES = {
 """Name -> dimension, whether the material is viscous, whether volumes are averaged, and the lattice's spacing."""
 
 
-FAST = ("2D", "3D reversed", "2D means, reversed", "2D split", "3D split, means, reversed")
-"""Cases in which each pair of choices occurs. The kernels of the others take minutes to compile."""
-ALL = [pytest.param(case, marks=() if name in FAST else pytest.mark.slow, id=name) for name, case in CASES.items()]
+FAST = ("2D reversed", "3D", "2D means", "2D split", "3D split, means, reversed")
+"""Cases in which each pair of choices occurs."""
 
 
-@pytest.fixture(scope="module", params=ALL)
+@pytest.fixture(scope="module", params=cases(CASES, FAST))
 def case(request):
     """Return a model, its inputs, cotangents, the rollout and its gradient."""
     dim, viscous, averaged, *spacing = request.param

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import total_lagrangian
 from gripping import Gripping
-from little_worlds import needs_jit
+from little_worlds import cases, needs_jit
 from rich_scene import (
     KINDS,
     arrays,
@@ -25,6 +25,7 @@ from rich_scene import (
 from scipy.spatial.transform import Rotation
 from test_contact import ball, compiled, completed, touched
 from test_reference_frame import DOT_PRODUCT, STEPS, TINY
+from touching import BODIES
 
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.frames import make_rollout
@@ -135,15 +136,7 @@ def random_bar(model, inputs, rng):
     return replace(bar, held=held, rigid=poses), random_state(inputs.state, rng)
 
 
-@pytest.fixture(
-    scope="module",
-    params=[
-        (2, True),
-        pytest.param((2, False), marks=pytest.mark.slow),
-        pytest.param((3, False), marks=pytest.mark.slow),
-    ],
-    ids=["2D viscous", "2D", "3D"],
-)
+@pytest.fixture(scope="module", params=cases(BODIES, ["2D viscous", "3D"]))
 def case(request):
     """Return a model, its inputs, cotangents, the rollout and its gradient."""
     dim, viscous = request.param

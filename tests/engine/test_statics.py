@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from little_worlds import STRESSES, Acting, Wall, below, needs_jit, world
+from little_worlds import STRESSES, Acting, Wall, below, cases, needs_jit, world
 from test_reference_frame import ELASTIC, SHEAR
 
 from cqrun.actuators import cable, tension
@@ -73,13 +73,10 @@ CASES = {
 
 
 FAST = ("2D", "3D averaged", "2D averaged, with a slit", "3D with a slit")
-"""Cases in which each pair of choices occurs. The kernels of the others take minutes to compile."""
+"""Cases in which each pair of choices occurs."""
 
 
-@pytest.fixture(
-    scope="module",
-    params=[pytest.param(c, marks=() if name in FAST else pytest.mark.slow, id=name) for name, c in CASES.items()],
-)
+@pytest.fixture(scope="module", params=cases(CASES, FAST))
 def rested(request):
     """Return a cantilever's model, inputs, equilibrium and rest."""
     dim, averaged, slit = request.param

@@ -22,6 +22,9 @@ from cqrun.geometry.mesh_tree import mesh_triangles
 
 Array = np.ndarray
 
+BODIES = {"2D viscous": (2, True), "2D": (2, False), "3D": (3, False)}
+"""Name -> dimension, and whether the material is viscous; a rollout without viscosity runs backwards."""
+
 
 def distance(solid: Solid, x: Array) -> tuple[Array, Array]:
     """Return the signed distance and the normal at a position."""
